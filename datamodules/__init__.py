@@ -1,0 +1,1 @@
+"""LightningDataModules: measured recordings and synthetic links."""

@@ -1,0 +1,1 @@
+"""Range offsets: fitted on source recordings, applied to any."""

@@ -1,0 +1,1 @@
+"""Packed sites: downloading, building, verifying, reading."""

@@ -1,0 +1,1 @@
+"""Protocols, metrics, run log and reports."""

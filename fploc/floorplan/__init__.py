@@ -1,0 +1,1 @@
+"""Georeferenced floor plans: pixels to metres, walls, crops between two points."""

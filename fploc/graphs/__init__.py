@@ -1,0 +1,1 @@
+"""Intervals as graphs of access points and devices."""

@@ -1,0 +1,1 @@
+"""Complete ways to localize, behind one interface."""

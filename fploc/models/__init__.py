@@ -1,0 +1,1 @@
+"""Networks, apart from their training."""

@@ -1,0 +1,1 @@
+"""Protocol-free mending of the public files at build time."""

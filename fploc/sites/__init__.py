@@ -1,0 +1,1 @@
+"""Sites: access points, frame and georeferenced plan."""

@@ -1,0 +1,1 @@
+"""One-shot geometry: positions from ranges."""

@@ -1,0 +1,1 @@
+"""Virtual sites: a real plan filled by the generator."""
