@@ -1,0 +1,96 @@
+"""A floor plan: the drawing and its walls as rasters in the frame of a site."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fploc.errors import BadFileError, MissingFileError
+from fploc.floorplan.georeference import Georeference
+
+Grey = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
+
+# Walls are stored as an image: 0 wall, 255 free.
+_WALL, _FREE = 0, 255
+
+
+@dataclass(frozen=True, eq=False)
+class FloorPlan:
+    """A plan drawn in the frame of a site.
+
+    Args:
+        name: Name of the site whose plan it is.
+        grey: The drawing, shape (H, W), uint8: 255 free, darker where a line is drawn.
+        walls: True where there is a wall, shape (H, W).
+        georeference: Metres of the site frame to pixels of both rasters.
+    """
+
+    name: str
+    grey: Grey
+    walls: Mask
+    georeference: Georeference
+
+    def write(self, grey_path: Path, walls_path: Path) -> None:
+        """Write both rasters as PNG files (walls: 0 wall, 255 free)."""
+        _write_image(grey_path, self.grey)
+        _write_image(walls_path, np.where(self.walls, _WALL, _FREE).astype(np.uint8))
+
+
+def read_grey_image(path: Path) -> Grey:
+    """Return an image file as shape (H, W), uint8, grey.
+
+    Raises:
+        MissingFileError: If there is no such file.
+        BadFileError: If it is no image.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, expected="an image of a floor plan", way_out="check the path of the plan")
+    # A file name goes through the C library's own encoding; bytes read here do not.
+    encoded = np.fromfile(path, dtype=np.uint8)
+    image = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
+    if image is None:
+        raise BadFileError(
+            path,
+            "whole file",
+            value=f"{path.stat().st_size} bytes that do not decode",
+            expected="a PNG or JPEG image",
+            way_out="export the plan as PNG, or fetch the file again",
+        )
+    return np.asarray(image, dtype=np.uint8)
+
+
+def read_floor_plan(
+    grey_path: Path, walls_path: Path, georeference: Georeference, name: str
+) -> FloorPlan:
+    """Read what ``FloorPlan.write`` wrote.
+
+    Raises:
+        MissingFileError: If one of the files is missing.
+        BadFileError: If one is no image, or the two differ in size.
+    """
+    grey, walls = read_grey_image(grey_path), read_grey_image(walls_path)
+    if grey.shape != walls.shape:
+        raise BadFileError(
+            walls_path,
+            "whole file",
+            value=f"{walls.shape[1]} x {walls.shape[0]} pixels",
+            expected=f"the size of {grey_path.name}, {grey.shape[1]} x {grey.shape[0]}",
+            way_out="rebuild the packed site with `fploc data build`",
+        )
+    return FloorPlan(name=name, grey=grey, walls=walls < (_WALL + _FREE) / 2, georeference=georeference)
+
+
+def _write_image(path: Path, image: Grey) -> None:
+    done, encoded = cv2.imencode(".png", image)
+    assert done, "OpenCV encodes every uint8 array as PNG"
+    temporary = path.with_name(f".{path.name}.partial")
+    try:
+        temporary.write_bytes(encoded.tobytes())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
