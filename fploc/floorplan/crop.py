@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import torch
 from torch import Tensor
-from torch.nn.functional import conv2d, grid_sample
+from torch.nn.functional import grid_sample, pad
 
 from fploc.floorplan.plan import FloorPlan
 
@@ -52,12 +53,7 @@ def soften(ink: Tensor, pixels: float) -> Tensor:
     """
     if pixels <= 1.0:
         return ink
-    reach = int(-(-(pixels - 1.0) // 2))
-    weights = torch.ones(2 * reach + 1, dtype=ink.dtype, device=ink.device)
-    weights[[0, -1]] = (pixels - (2 * reach - 1)) / 2
-    weights = weights / pixels
-    across = conv2d(ink[None, None], weights[None, None, None, :], padding=(0, reach))
-    return conv2d(across, weights[None, None, :, None], padding=(reach, 0))[0, 0]
+    return _box_filter(_box_filter(ink, pixels, dim=0), pixels, dim=1)
 
 
 def crop_links(
@@ -107,14 +103,40 @@ def crop_links(
     ahead_m = (column + 0.5) / pixels_per_metre
     aside_m = ((height - 1) / 2 - torch.arange(height, device=device, dtype=dtype)) / pixels_per_metre
 
-    # In units of grid_sample: −1 and 1 are the outer edges of the plan.
+    # In units of grid_sample: −1 and 1 are the outer edges of the plan. No matrix product: mixed precision
+    # and reduced-precision products would move the crop by pixels.
     size = torch.tensor([ink.shape[1], ink.shape[0]], device=device, dtype=dtype)
-    linear, shift = matrix[:, :2].T * 2 / size, (2 * matrix[:, 2] + 1) / size - 1
-    middle = (starts @ linear + shift)[link] + ahead_m[:, None] * (forward @ linear)[link]
-    grid = middle[:, None] + aside_m[:, None] * (left @ linear)[link][:, None]
-    sampled = grid_sample(
-        softened[None, None], grid[None], mode="bilinear", padding_mode="zeros", align_corners=False
+    linear, shift = matrix[:, :2] * 2 / size[:, None], (2 * matrix[:, 2] + 1) / size - 1
+    start, step, turn = (_apply(linear, vectors) for vectors in (starts, forward, left))
+    middle = (start + shift)[link] + ahead_m[:, None] * step[link]
+    aside = turn[link]
+    grid = torch.stack(
+        [torch.addcmul(middle[:, axis, None], aside[:, axis, None], aside_m) for axis in (0, 1)], dim=-1
     )
-    images = torch.zeros(len(starts), length_px, height, device=device, dtype=dtype)
-    images[link, column] = sampled[0, 0]
-    return Crops(images=images.transpose(1, 2)[:, None].contiguous(), lengths_px=lengths)
+    sampled = grid_sample(
+        softened[None, None],
+        grid[None],
+        mode="bilinear",
+        padding_mode="zeros",
+        align_corners=False,
+    )
+    images = torch.zeros(len(starts), height, length_px, device=device, dtype=dtype)
+    images.transpose(1, 2)[link, column] = sampled[0, 0]
+    return Crops(images=images[:, None], lengths_px=lengths)
+
+
+def _apply(linear: Tensor, vectors: Tensor) -> Tensor:
+    """Return a (2, 2) map applied to vectors (L, 2) at full precision."""
+    return (linear * vectors[:, None]).sum(dim=-1)
+
+
+def _box_filter(ink: Tensor, pixels: float, *, dim: int) -> Tensor:
+    """Average over ``pixels`` pixels along one dimension; the outermost two of an odd number count in part."""
+    reach = ceil((pixels - 1.0) / 2)
+    edge = (pixels - (2 * reach - 1)) / 2
+    padding = [0, 0, reach, reach] if dim == 0 else [reach, reach, 0, 0]
+    padded, size = pad(ink, padding), ink.shape[dim]
+    total = (padded.narrow(dim, 0, size) + padded.narrow(dim, 2 * reach, size)) * edge
+    for shift in range(1, 2 * reach):
+        total += padded.narrow(dim, shift, size)
+    return total / pixels

@@ -34,6 +34,7 @@ class Georeference:
     pixels_from_metres: Floats
 
     def __post_init__(self) -> None:
+        """Check the matrix and freeze a copy of it."""
         matrix = np.array(self.pixels_from_metres, dtype=np.float64)
         if matrix.shape != (2, 3) or not np.isfinite(matrix).all():
             raise FplocError(
@@ -129,7 +130,7 @@ def fit_georeference(points_m: ArrayLike, points_px: ArrayLike) -> GeoreferenceF
             way_out="give every point in both frames, in one order",
         )
     with_one = np.column_stack([metres, np.ones(len(metres))])
-    solution, *_ = np.linalg.lstsq(with_one, pixels, rcond=None)
+    solution: Floats = np.linalg.lstsq(with_one, pixels, rcond=None)[0].astype(np.float64)
     georeference = Georeference(solution.T)
     return GeoreferenceFit(
         georeference=georeference,

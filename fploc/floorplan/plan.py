@@ -49,7 +49,7 @@ def read_grey_image(path: Path) -> Grey:
         BadFileError: If it is no image.
     """
     if not path.is_file():
-        raise MissingFileError(path, expected="an image of a floor plan", way_out="check the path of the plan")
+        raise MissingFileError(path, expected="an image of a floor plan", way_out="check the path")
     # A file name goes through the C library's own encoding; bytes read here do not.
     encoded = np.fromfile(path, dtype=np.uint8)
     image = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
@@ -64,9 +64,7 @@ def read_grey_image(path: Path) -> Grey:
     return np.asarray(image, dtype=np.uint8)
 
 
-def read_floor_plan(
-    grey_path: Path, walls_path: Path, georeference: Georeference, name: str
-) -> FloorPlan:
+def read_floor_plan(grey_path: Path, walls_path: Path, georeference: Georeference, name: str) -> FloorPlan:
     """Read what ``FloorPlan.write`` wrote.
 
     Raises:

@@ -128,7 +128,8 @@ def line_of_sight(
     length = np.linalg.norm(ends - starts, axis=1, keepdims=True)
     cut = np.minimum(end_margin_m, length / 2) / np.maximum(length, np.finfo(np.float64).tiny)
     inner = (starts + cut * (ends - starts), ends + cut * (starts - ends))
-    return wall_crossings(plan, *inner).count == 0
+    free: NDArray[np.bool_] = wall_crossings(plan, *inner).count == 0
+    return free
 
 
 def free_space(
@@ -154,8 +155,9 @@ def free_space(
     scale = plan.georeference.pixels_per_metre
     # The nearest wall pixel's centre is half a pixel behind the wall's face.
     distance_px = cv2.distanceTransform((~plan.walls).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    clear = distance_px - 0.5 >= clearance_m * scale
-    _, regions = cv2.connectedComponents(clear.astype(np.uint8), connectivity=4)
+    clear = np.asarray(distance_px) - 0.5 >= clearance_m * scale
+    labels = cv2.connectedComponents(clear.astype(np.uint8), connectivity=4)[1]
+    regions = np.asarray(labels, dtype=np.int32)
     edge = np.concatenate([regions[0], regions[-1], regions[:, 0], regions[:, -1]])
     near = _regions_near(seeds, regions, plan.georeference)
     indoors = np.setdiff1d(near, edge)
@@ -237,12 +239,11 @@ def _inside(polygons_m: Sequence[ArrayLike], georeference: Georeference, shape: 
             )
         fixed = np.round(georeference.to_pixels(corners) * 2**_POLYGON_SHIFT).astype(np.int32)
         cv2.fillPoly(mask, [fixed], 1, shift=_POLYGON_SHIFT)
-    return mask > 0
+    inside: Mask = mask > 0
+    return inside
 
 
-def _sampled(
-    plan: FloorPlan, starts: Floats, ends: Floats
-) -> Iterator[tuple[NDArray[np.int64], Mask, Mask]]:
+def _sampled(plan: FloorPlan, starts: Floats, ends: Floats) -> Iterator[tuple[NDArray[np.int64], Mask, Mask]]:
     """Yield chunks of links of like length: their indices, samples in walls, samples that exist."""
     height, width = plan.walls.shape
     # One free pixel all round stands for everything outside the plan.
@@ -273,9 +274,7 @@ def _cell_centres(plan: FloorPlan) -> Floats:
     return plan.georeference.to_metres(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1))
 
 
-def _regions_near(
-    seeds: Floats, regions: NDArray[np.int32], georeference: Georeference
-) -> NDArray[np.int32]:
+def _regions_near(seeds: Floats, regions: NDArray[np.int32], georeference: Georeference) -> NDArray[np.int32]:
     """Return the labels of all regions that have a cell near one of the seeds."""
     height, width = regions.shape
     reach_px = _SEED_REACH_M * georeference.pixels_per_metre
