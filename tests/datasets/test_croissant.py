@@ -1,0 +1,105 @@
+"""croissant.json of a packed site: loaded by mlcroissant, checked against the tables it describes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from fploc.datasets.croissant import CITATION, FILE_NAME, validate_croissant, write_croissant
+from fploc.errors import BadFileError, MissingFileError
+from fploc.schema import TABLES, Table
+
+
+def table_of(table: Table, rows: int) -> pd.DataFrame:
+    """A frame of ``rows`` rows that keeps the contract of ``table``."""
+    columns = {}
+    for column in table.columns:
+        if column.dtype == "str":
+            columns[column.name] = pd.Series([f"{row:02d}" for row in range(rows)], dtype="str")
+        else:
+            numbers = np.full(rows, -50.0 if column.name == "rss_dbm" else 1.0)
+            columns[column.name] = pd.Series(numbers).astype(column.dtype)
+    frame = pd.DataFrame(columns)
+    if "t_ms" in frame:
+        frame["t_ms"] = np.arange(rows, dtype=np.float64)
+    if "x_repaired_m" in frame:
+        frame.loc[1, "x_repaired_m"] = np.nan
+    return table.check(frame, "made here")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    folder = tmp_path / "office"
+    folder.mkdir()
+    for table in TABLES:
+        table_of(table, rows=3).to_parquet(folder / f"{table.name}.parquet", index=False)
+    (folder / "site.json").write_text(json.dumps({"name": "office", "made_up": False}))
+    (folder / "manifest.json").write_text("{}")
+    return folder
+
+
+def test_mlcroissant_finds_nothing_to_say(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    write_croissant(folder)
+    validate_croissant(folder)
+    assert not [record for record in caplog.records if "mlcroissant" in record.pathname]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+def test_records_are_the_rows_of_the_tables(folder: Path, table: Table) -> None:
+    import mlcroissant
+
+    write_croissant(folder)
+    records = list(mlcroissant.Dataset(jsonld=folder / FILE_NAME).records(table.name))
+    expected = pd.read_parquet(folder / f"{table.name}.parquet")
+    assert len(records) == 3
+    for column in table.columns:
+        found = [record[f"{table.name}/{column.name}"] for record in records]
+        if column.dtype == "str":
+            assert [value.decode() for value in found] == expected[column.name].tolist()
+        else:
+            np.testing.assert_array_equal(np.array(found, float), expected[column.name].to_numpy(float))
+
+
+def test_files_carry_their_hash_and_only_present_ones_are_named(folder: Path) -> None:
+    metadata = json.loads(write_croissant(folder).read_text())
+    files = {file["contentUrl"]: file for file in metadata["distribution"]}
+    assert set(files) == {path.name for path in folder.iterdir()} - {FILE_NAME}
+    for name, file in files.items():
+        contents = (folder / name).read_bytes()
+        assert file["sha256"] == hashlib.sha256(contents).hexdigest()
+        assert file["contentSize"] == f"{len(contents)} B"
+
+
+def test_licence_and_authors_are_named_and_a_made_up_building_cites_nobody(folder: Path) -> None:
+    measured = json.loads(write_croissant(folder).read_text())
+    assert measured["citeAs"] == CITATION and "MIT" in measured["license"]
+    (folder / "site.json").write_text(json.dumps({"name": "office", "made_up": True}))
+    made_up = json.loads(write_croissant(folder).read_text())
+    assert "citeAs" not in made_up and "no measurement" in made_up["description"]
+
+
+def test_a_missing_table_is_named_and_nothing_is_written(folder: Path) -> None:
+    (folder / "readings.parquet").unlink()
+    with pytest.raises(MissingFileError, match=r"readings\.parquet"):
+        write_croissant(folder)
+    assert not list(folder.glob(f"{FILE_NAME}*"))
+
+
+def test_an_unreadable_site_is_named(folder: Path) -> None:
+    (folder / "site.json").write_text("[")
+    with pytest.raises(BadFileError, match=r"site\.json"):
+        write_croissant(folder)
+
+
+def test_a_description_that_breaks_the_specification_is_refused(folder: Path) -> None:
+    path = write_croissant(folder)
+    metadata = json.loads(path.read_text())
+    metadata["recordSet"][0]["field"][0]["source"]["fileObject"]["@id"] = "absent.parquet"
+    path.write_text(json.dumps(metadata))
+    with pytest.raises(BadFileError, match=r"Croissant 1\.1"):
+        validate_croissant(folder)
