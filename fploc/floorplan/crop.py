@@ -109,10 +109,9 @@ def crop_links(
     linear, shift = matrix[:, :2] * 2 / size[:, None], (2 * matrix[:, 2] + 1) / size - 1
     start, step, turn = (_apply(linear, vectors) for vectors in (starts, forward, left))
     middle = (start + shift)[link] + ahead_m[:, None] * step[link]
-    aside = turn[link]
-    grid = torch.stack(
-        [torch.addcmul(middle[:, axis, None], aside[:, axis, None], aside_m) for axis in (0, 1)], dim=-1
-    )
+    # A complex number is a place (u, v): the sum then runs over rows at full width, not over pairs.
+    aside = torch.view_as_complex(turn)[link, None] * aside_m
+    grid = torch.view_as_real(torch.view_as_complex(middle)[:, None] + aside)
     sampled = grid_sample(
         softened[None, None],
         grid[None],
@@ -131,7 +130,7 @@ def _apply(linear: Tensor, vectors: Tensor) -> Tensor:
 
 
 def _box_filter(ink: Tensor, pixels: float, *, dim: int) -> Tensor:
-    """Average over ``pixels`` pixels along one dimension; the outermost two of an odd number count in part."""
+    """Average over ``pixels`` pixels along one dimension; the outermost two count in part."""
     reach = ceil((pixels - 1.0) / 2)
     edge = (pixels - (2 * reach - 1)) / 2
     padding = [0, 0, reach, reach] if dim == 0 else [reach, reach, 0, 0]
