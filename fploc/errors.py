@@ -23,9 +23,7 @@ class FplocError(Exception):
 class BadFileError(FplocError):
     """A file whose contents cannot be read as the kind that it should be."""
 
-    def __init__(
-        self, path: Path | str, where: str, *, value: object, expected: str, way_out: str
-    ) -> None:
+    def __init__(self, path: Path | str, where: str, *, value: object, expected: str, way_out: str) -> None:
         super().__init__(f"{path}, {where}", value=value, expected=expected, way_out=way_out)
 
 
@@ -39,21 +37,15 @@ class MissingFileError(FplocError):
 class HashMismatchError(FplocError):
     """A file whose contents are not the ones that were promised."""
 
-    def __init__(
-        self, path: Path | str, *, algorithm: str, found: str, expected: str, way_out: str
-    ) -> None:
-        super().__init__(
-            f"{path} ({algorithm})", value=found, expected=expected, way_out=way_out
-        )
+    def __init__(self, path: Path | str, *, algorithm: str, found: str, expected: str, way_out: str) -> None:
+        super().__init__(f"{path} ({algorithm})", value=found, expected=expected, way_out=way_out)
 
 
 class UnknownNameError(FplocError):
     """A name (site, method, protocol, MAC, …) that is not among the known ones."""
 
     def __init__(self, kind: str, name: object, *, known: list[str], way_out: str) -> None:
-        super().__init__(
-            kind, value=repr(name), expected=f"one of {', '.join(known)}", way_out=way_out
-        )
+        super().__init__(kind, value=repr(name), expected=f"one of {', '.join(known)}", way_out=way_out)
 
 
 class DownloadError(FplocError):

@@ -66,12 +66,8 @@ def _pandera_schema(table: Table) -> pa.DataFrameSchema:
             checks.append(pa.Check.ge(column.minimum))
         if column.maximum is not None:
             checks.append(pa.Check.le(column.maximum))
-        columns[column.name] = pa.Column(
-            column.dtype, checks=checks, nullable=column.nullable, required=True
-        )
-    return pa.DataFrameSchema(
-        columns, strict=True, ordered=True, unique=list(table.key), name=table.name
-    )
+        columns[column.name] = pa.Column(column.dtype, checks=checks, nullable=column.nullable, required=True)
+    return pa.DataFrameSchema(columns, strict=True, ordered=True, unique=list(table.key), name=table.name)
 
 
 _DEVICE = Column("device", "int8", "1", "1 = files '13', 2 = files '24'", minimum=1, maximum=2)
@@ -94,15 +90,29 @@ READINGS = Table(
         _TIME,
         Column("mac", "str", "", "BSSID of the access point"),
         Column(
-            "range_slant_m", "float64", "m", "RTT range in space, no offset removed; null: no range",
-            nullable=True, minimum=0, maximum=100,
+            "range_slant_m",
+            "float64",
+            "m",
+            "RTT range in space, no offset removed; null: no range",
+            nullable=True,
+            minimum=0,
+            maximum=100,
         ),
         Column(
-            "range_plan_m", "float64", "m", "the same projected to the plan, no offset removed",
-            nullable=True, minimum=0, maximum=100,
+            "range_plan_m",
+            "float64",
+            "m",
+            "the same projected to the plan, no offset removed",
+            nullable=True,
+            minimum=0,
+            maximum=100,
         ),
-        Column("range_std_m", "float64", "m", "the phone's own spread of the burst", nullable=True, minimum=0),
-        Column("rss_dbm", "float64", "dBm", "received signal strength", nullable=True, minimum=-120, maximum=0),
+        Column(
+            "range_std_m", "float64", "m", "the phone's own spread of the burst", nullable=True, minimum=0
+        ),
+        Column(
+            "rss_dbm", "float64", "dBm", "received signal strength", nullable=True, minimum=-120, maximum=0
+        ),
         Column("is_far", "bool", "", "the range exceeds 60 m: kept, to be distrusted"),
     ),
     key=("device", "recording", "interval", "mac"),
@@ -142,9 +152,21 @@ DEVICE_LINKS = Table(
     columns=(
         Column("lap", "str", "", "folder of the link log: lap 7 belongs to recordings 713 and 724"),
         _TIME,
-        Column("range_m", "float64", "m", "RTT range between the devices, no offset removed", nullable=True, minimum=0, maximum=100),
-        Column("range_std_m", "float64", "m", "the phone's own spread of the burst", nullable=True, minimum=0),
-        Column("rss_dbm", "float64", "dBm", "received signal strength", nullable=True, minimum=-120, maximum=0),
+        Column(
+            "range_m",
+            "float64",
+            "m",
+            "RTT range between the devices, no offset removed",
+            nullable=True,
+            minimum=0,
+            maximum=100,
+        ),
+        Column(
+            "range_std_m", "float64", "m", "the phone's own spread of the burst", nullable=True, minimum=0
+        ),
+        Column(
+            "rss_dbm", "float64", "dBm", "received signal strength", nullable=True, minimum=-120, maximum=0
+        ),
     ),
     key=("lap", "t_ms"),
 )

@@ -70,9 +70,7 @@ class Recording:
         )
 
 
-def dense_recordings(
-    site: Site, readings: pd.DataFrame, intervals: pd.DataFrame
-) -> list[Recording]:
+def dense_recordings(site: Site, readings: pd.DataFrame, intervals: pd.DataFrame) -> list[Recording]:
     """Return the recordings of a packed site, ordered by device and name."""
     column = {mac: index for index, mac in enumerate(site.macs)}
     groups = dict(list(readings.groupby(["device", "recording"], sort=True)))
@@ -129,10 +127,7 @@ def pad(recordings: Sequence[Recording]) -> PaddedRecordings:
     def padded(name: str) -> NDArray[np.generic]:
         arrays = [getattr(recording, name) for recording in recordings]
         return np.stack(
-            [
-                np.pad(array, [(0, longest - len(array))] + [(0, 0)] * (array.ndim - 1))
-                for array in arrays
-            ],
+            [np.pad(array, [(0, longest - len(array))] + [(0, 0)] * (array.ndim - 1)) for array in arrays],
             axis=1,
         )
 

@@ -86,9 +86,7 @@ class Estimate:
 def estimate(positions: Tensor, covariances: Tensor, reasons: Tensor) -> Estimate:
     """Return an ``Estimate`` whose entries without a fix are NaN, and whose non-finite ones are no fix."""
     finite = torch.isfinite(positions).all(-1) & torch.isfinite(covariances).all((-1, -2))
-    reasons = torch.where(
-        (reasons == NoFix.FIXED) & ~finite, int(NoFix.DEGENERATE_GEOMETRY), reasons
-    )
+    reasons = torch.where((reasons == NoFix.FIXED) & ~finite, int(NoFix.DEGENERATE_GEOMETRY), reasons)
     fixed = reasons == NoFix.FIXED
     nan = torch.full((), torch.nan, dtype=positions.dtype, device=positions.device)
     return Estimate(

@@ -1,0 +1,66 @@
+"""A plan as tensors, and how networks look at it: resolution and extent of their crops."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fploc.floorplan.crop import Crops, crop_links, ink_of
+from fploc.floorplan.plan import FloorPlan
+
+
+@dataclass(frozen=True)
+class PlanRaster:
+    """A floor plan as tensors.
+
+    Args:
+        ink: Shape (H, W), 1 where a line is drawn, 0 where free.
+        pixels_from_metres: Metres of the site frame to pixels of ``ink``, shape (2, 3).
+    """
+
+    ink: Tensor
+    pixels_from_metres: Tensor
+
+    @classmethod
+    def of(cls, plan: FloorPlan) -> PlanRaster:
+        """Return the raster of ``plan``."""
+        matrix = torch.tensor(plan.georeference.pixels_from_metres, dtype=torch.float32)
+        return cls(ink=ink_of(plan), pixels_from_metres=matrix)
+
+    def to(self, device: torch.device | str) -> PlanRaster:
+        """Return the raster on ``device``."""
+        return PlanRaster(self.ink.to(device), self.pixels_from_metres.to(device))
+
+
+@dataclass(frozen=True)
+class CropSettings:
+    """Resolution and extent of crops; fixed with a network, so it travels in its artifact.
+
+    Args:
+        pixels_per_metre: The paper's is 64.
+        width_m: Extent across the link; the paper's is 4 m.
+        max_length_px: Longest crop; links beyond it are cut at the device's end.
+        patch_length_px: A batch is padded to a multiple of it.
+    """
+
+    pixels_per_metre: float
+    width_m: float
+    max_length_px: int
+    patch_length_px: int
+
+    def crop(self, plan: PlanRaster, starts: Tensor, ends: Tensor) -> Crops:
+        """Crop links from ``starts`` to ``ends``, (L, 2) metres, padded to the longest of the batch."""
+        longest_m = float((ends - starts).norm(dim=-1).max()) if len(starts) else 0.0
+        patches = math.ceil((longest_m * self.pixels_per_metre + 1) / self.patch_length_px)
+        return crop_links(
+            plan.ink,
+            plan.pixels_from_metres,
+            starts,
+            ends,
+            pixels_per_metre=self.pixels_per_metre,
+            width_m=self.width_m,
+            length_px=min(patches * self.patch_length_px, self.max_length_px),
+        )

@@ -1,0 +1,144 @@
+"""DeepViT on crops of the floor plan: patches, class token, re-attention encoder, mean, head."""
+
+from __future__ import annotations
+
+import torch
+from timm.layers import DropPath, Mlp, trunc_normal_
+from torch import Tensor, nn
+
+from fploc.models.layers.reattention import ReAttention
+
+
+def valid_columns(lengths_px: Tensor, patch_length_px: int, columns: int) -> Tensor:
+    """Return which patch columns hold any of the crop.
+
+    Args:
+        lengths_px: Valid pixel columns of each crop, shape (B,).
+        patch_length_px: Length of a patch along the link, pixels.
+        columns: Patch columns of the padded crop.
+
+    Returns:
+        True where a patch column starts inside the crop, shape (B, columns); the first always does.
+    """
+    starts = torch.arange(columns, device=lengths_px.device) * patch_length_px
+    return starts < lengths_px[:, None].clamp(min=1)
+
+
+def split_and_flatten(images: Tensor, patch_px: tuple[int, int]) -> Tensor:
+    """Return the flattened patches s_ℓ of images (B, 1, H, W), shape (B, rows, columns, pixels of a patch)."""
+    B, _, H, W = images.shape
+    height, length = patch_px
+    patches = images.reshape(B, H // height, height, W // length, length)
+    return patches.permute(0, 1, 3, 2, 4).flatten(3)
+
+
+class EncoderBlock(nn.Module):
+    """Norm, re-attention, norm, FFNN, each with a residual connection (Zhou et al. 2021, fig. 4)."""
+
+    def __init__(
+        self,
+        dim: int,
+        num_heads: int,
+        head_dim: int,
+        mlp_ratio: float,
+        attention_norm: str,
+        drop: float,
+        drop_path: float,
+    ) -> None:
+        super().__init__()
+        self.norm1 = nn.LayerNorm(dim)
+        self.attention = ReAttention(dim, num_heads, head_dim, norm=attention_norm, proj_drop=drop)
+        self.norm2 = nn.LayerNorm(dim)
+        self.mlp = Mlp(dim, hidden_features=int(dim * mlp_ratio), drop=drop)
+        self.drop_path = DropPath(drop_path)
+
+    def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
+        """Return the tokens (B, N, D) after attention over ``valid`` (B, N) and the FFNN."""
+        tokens = tokens + self.drop_path(self.attention(self.norm1(tokens), valid))
+        encoded: Tensor = tokens + self.drop_path(self.mlp(self.norm2(tokens)))
+        return encoded
+
+
+class DeepViT(nn.Module):
+    """Features of a crop between an access point and a device.
+
+    Paper: Yu et al., section "DeepVIT block" and Table II; Zhou et al. 2021. A patch spans ``patch_px``
+    pixels; each is embedded linearly (eq. "split_flatten"), the class token is prepended and a learned
+    position embedding added (eq. "split_flatten_2"). The mean is taken over the valid patches; the class
+    token takes part in the attention and is not averaged. Crops are padded at the device's end.
+
+    Args:
+        crop_height_px: Height of a crop, H.
+        max_length_px: Longest crop, the stated maximum of the position embedding.
+        patch_px: Height and length of a patch; they divide ``crop_height_px`` and ``max_length_px``.
+        dim: Width of the tokens, D.
+        depth: Encoder blocks.
+        num_heads: Attention heads.
+        head_dim: Width of a head.
+        mlp_ratio: Hidden width of the FFNN over D.
+        features: Width of the output.
+        attention_norm: Norm of re-attention; see ``ReAttention``.
+        drop: Dropout rate.
+        drop_path: Stochastic depth rate.
+
+    Shapes:
+        - **input:** images (B, 1, H, W) with 1 = drawn and W ≤ ``max_length_px`` a multiple of the patch
+          length; lengths_px (B,)
+        - **output:** (B, ``features``)
+    """
+
+    def __init__(
+        self,
+        crop_height_px: int,
+        max_length_px: int,
+        patch_px: tuple[int, int],
+        dim: int,
+        depth: int,
+        num_heads: int,
+        head_dim: int,
+        mlp_ratio: float = 1.0,
+        features: int = 32,
+        attention_norm: str = "batch",
+        drop: float = 0.2,
+        drop_path: float = 0.0,
+    ) -> None:
+        super().__init__()
+        self.patch_px = patch_px
+        self.rows = crop_height_px // patch_px[0]
+        self.columns = max_length_px // patch_px[1]
+        assert self.rows * patch_px[0] == crop_height_px and self.columns * patch_px[1] == max_length_px
+        self.embed = nn.Linear(patch_px[0] * patch_px[1], dim)
+        self.class_token = nn.Parameter(torch.zeros(1, 1, dim))
+        self.class_position = nn.Parameter(torch.zeros(1, 1, dim))
+        self.patch_positions = nn.Parameter(torch.zeros(1, self.rows, self.columns, dim))
+        self.blocks = nn.ModuleList(
+            EncoderBlock(dim, num_heads, head_dim, mlp_ratio, attention_norm, drop, drop_path)
+            for _ in range(depth)
+        )
+        self.head = nn.Sequential(nn.LayerNorm(dim), nn.Linear(dim, features), nn.ReLU())
+        for parameter in (self.class_token, self.class_position, self.patch_positions):
+            trunc_normal_(parameter, std=0.02)
+
+    def forward(self, images: Tensor, lengths_px: Tensor) -> Tensor:
+        """Return the features of crops; see the class for shapes."""
+        tokens, valid = self.tokens(images, lengths_px)
+        for block in self.blocks:
+            tokens = block(tokens, valid)
+        features: Tensor = self.head(self.mean_over_patches(tokens, valid))
+        return features
+
+    def tokens(self, images: Tensor, lengths_px: Tensor) -> tuple[Tensor, Tensor]:
+        """Return class token and patches with their positions (B, N, D), and which are valid (B, N)."""
+        patches = self.embed(split_and_flatten(images, self.patch_px))
+        B, rows, columns, _ = patches.shape
+        patches = (patches + self.patch_positions[:, :, :columns]).flatten(1, 2)
+        first = (self.class_token + self.class_position).expand(B, -1, -1)
+        valid = valid_columns(lengths_px, self.patch_px[1], columns)[:, None, :].expand(B, rows, columns)
+        valid = torch.cat([valid.new_ones(B, 1), valid.flatten(1)], dim=1)
+        return torch.cat([first, patches], dim=1), valid
+
+    @staticmethod
+    def mean_over_patches(tokens: Tensor, valid: Tensor) -> Tensor:
+        """Return the mean of the valid patches, without the class token, shape (B, D)."""
+        weights = valid[:, 1:, None].to(tokens.dtype)
+        return (tokens[:, 1:] * weights).sum(1) / weights.sum(1)

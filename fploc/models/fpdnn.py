@@ -1,0 +1,104 @@
+"""FPDNN: the distance of a link from its range, its signal strength and the plan between its ends."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from fploc.models.deepvit import DeepViT
+
+RANGE_SCALE_M = 10.0
+RSS_CENTRE_DBM = -65.0
+RSS_SCALE_DB = 10.0
+
+
+def normalised_measurement(ranges: Tensor, rss: Tensor) -> Tensor:
+    """Return p = (ζ, γ) centred and scaled by fixed constants, shape (B, 2).
+
+    Args:
+        ranges: ζ, shape (B,), metres.
+        rss: γ, shape (B,), dBm.
+    """
+    return torch.stack([ranges / RANGE_SCALE_M - 1.0, (rss - RSS_CENTRE_DBM) / RSS_SCALE_DB], dim=-1)
+
+
+def ffnn(inputs: int, hidden: int, outputs: int, drop: float) -> nn.Sequential:
+    """Return two fully connected layers with ReLU, layer norm after the first, dropout after the second.
+
+    Table II of the paper: FFNN1 and, with other widths, the first layers of FFNN3 and FFNN4.
+    """
+    return nn.Sequential(
+        nn.Linear(inputs, hidden),
+        nn.ReLU(),
+        nn.LayerNorm(hidden),
+        nn.Linear(hidden, outputs),
+        nn.ReLU(),
+        nn.Dropout(drop),
+    )
+
+
+class DistanceHead(nn.Module):
+    """FFNN2 as published: the bare distance.
+
+    Table II cannot be built to the letter: its norm maps 32 to 16 (here: norm, then a layer 32 → 16 is
+    left out), and its final ReLU kills gradients (here: softplus).
+    """
+
+    def __init__(self, features: int, hidden: int = 32) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(features, hidden), nn.ReLU(), nn.LayerNorm(hidden), nn.Linear(hidden, 1), nn.Softplus()
+        )
+
+    def forward(self, features: Tensor, ranges: Tensor) -> Tensor:
+        """Return distances (B,) in metres from features (B, F); the ranges (B,) enter as features only."""
+        distances: Tensor = self.layers(features)[:, 0] * RANGE_SCALE_M
+        return distances.to(ranges.dtype)
+
+
+class CorrectionHead(nn.Module):
+    """A departure from the paper: ζ̂ = ζ − b, so that an unseen length needs no extrapolation of ζ itself."""
+
+    def __init__(self, features: int, hidden: int = 32) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(features, hidden), nn.ReLU(), nn.LayerNorm(hidden), nn.Linear(hidden, 1)
+        )
+        nn.init.zeros_(self.layers[-1].weight)
+        nn.init.zeros_(self.layers[-1].bias)
+
+    def forward(self, features: Tensor, ranges: Tensor) -> Tensor:
+        """Return distances (B,) in metres from features (B, F) and ranges ζ (B,) in metres."""
+        corrected: Tensor = ranges - self.layers(features)[:, 0]
+        return corrected.clamp(min=0.0)
+
+
+class FPDNN(nn.Module):
+    """Floor-plan-aided network: DeepViT on the crop, FFNN1 on (ζ, γ), FFNN2 to the distance.
+
+    Paper: Yu et al., section "Structure of FPDNN", eqs. "FFNN" and "outFPDNN", Table II. Changed: ζ and γ
+    are normalised, the index of the access point is dropped.
+
+    Args:
+        vision: The network on crops.
+        head: From the concatenated features and ζ to the distance: ``DistanceHead`` (published) or
+            ``CorrectionHead``.
+        drop: Dropout rate of FFNN1.
+
+    Shapes:
+        - **input:** images (B, 1, H, W), lengths_px (B,), ranges ζ (B,) metres, rss γ (B,) dBm
+        - **output:** distances (B,) metres, in the plan
+    """
+
+    def __init__(self, vision: DeepViT, head: nn.Module, drop: float = 0.2) -> None:
+        super().__init__()
+        self.vision = vision
+        self.ffnn1 = ffnn(2, 64, 32, drop)
+        self.head = head
+
+    def forward(self, images: Tensor, lengths_px: Tensor, ranges: Tensor, rss: Tensor) -> Tensor:
+        """Return the distances of links; see the class for shapes."""
+        seen = self.vision(images, lengths_px)
+        measured = self.ffnn1(normalised_measurement(ranges, rss))
+        distances: Tensor = self.head(torch.cat([seen, measured], dim=-1), ranges)
+        return distances

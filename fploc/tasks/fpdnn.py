@@ -1,0 +1,66 @@
+"""Training of FPDNN on links seen from positions as wrong as the GNN's will be."""
+
+from __future__ import annotations
+
+import lightning.pytorch as pl
+import torch
+from torch import Tensor
+
+from fploc.datasets.samples import LabelledIntervals
+from fploc.floorplan.raster import CropSettings
+from fploc.models.fpdnn import FPDNN
+
+
+class FPDNNTask(pl.LightningModule):
+    """Mean squared error of the distance (paper, eq. "gradient").
+
+    The crop is taken from a coarse position, not from the true one: the truth is moved by Gaussian jitter
+    of the size of the GNN's error, one draw per device, since its links share the coarse position.
+
+    Args:
+        network: FPDNN.
+        crops: How crops are taken.
+        jitter_m: Standard deviation of the jitter per axis, metres.
+        learning_rate: Adam's.
+        weight_decay: Adam's.
+    """
+
+    def __init__(
+        self,
+        network: FPDNN,
+        crops: CropSettings,
+        jitter_m: float = 1.0,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 1e-5,
+    ) -> None:
+        super().__init__()
+        self.network = network
+        self.crops = crops
+        self.jitter_m = jitter_m
+        self.learning_rate = learning_rate
+        self.weight_decay = weight_decay
+
+    def training_step(self, batch: dict[str, LabelledIntervals], batch_index: int) -> Tensor:
+        """Return the mean loss over the streams of ``batch``."""
+        return torch.stack([self._shared_step(part, "train") for part in batch.values()]).mean()
+
+    def validation_step(self, batch: LabelledIntervals, batch_index: int) -> None:
+        """Log the loss on held-out links."""
+        self._shared_step(batch, "val")
+
+    def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Return Adam as published."""
+        return torch.optim.Adam(self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay)
+
+    def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
+        links = batch.links
+        coarse = batch.positions + self.jitter_m * torch.randn_like(batch.positions)
+        crops = self.crops.crop(batch.plan, links.access_points, coarse[links.device])
+        estimated = self.network(crops.images, crops.lengths_px, links.ranges, links.rss)
+        distances = (batch.positions[links.device] - links.access_points).norm(dim=-1)
+        loss = torch.nn.functional.mse_loss(estimated, distances)
+        count = len(distances)
+        self.log(f"{stage}/loss", loss, batch_size=count, on_step=False, on_epoch=True)
+        absolute = (estimated - distances).abs().mean()
+        self.log(f"{stage}/range_mae_m", absolute, batch_size=count, on_step=False, on_epoch=True)
+        return loss
