@@ -1,1 +1,1 @@
-"""Complete ways to localize, behind one interface."""
+"""Every complete way to localize, ours and the rivals', behind one interface."""

@@ -1,1 +1,1 @@
-"""One-shot geometry: positions from ranges."""
+"""One-shot geometry: ranges of one interval in, a position with its covariance out."""

@@ -1,0 +1,84 @@
+"""Linear least squares on ranges with a reference access point (Guvenc, Gezici, Watanabe, Inamura, WCNC 2008).
+
+Subtracting the squared range equation of a reference r from that of every other access point i gives rows
+2 (p_i − p_r)·x = d_r² − d_i² + |p_i|² − |p_r|². ``LLS-RS`` takes r = argmin d_i.
+
+Two guards, since the system explodes on near-singular rows and on range outliers: access points that stand
+nearly on one line give no fix, and neither does a solution farther from the reference than its range allows.
+
+Axes: B intervals, A access points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fploc.methods.interface import Estimate, estimate
+from fploc.solvers.planar import SMALLEST_SPREAD_RATIO, spread_ratios, symmetric_inverse
+from fploc.solvers.reasons import reasons_for
+
+
+@dataclass(frozen=True)
+class LinearSettings:
+    """Guards of the linear solvers.
+
+    Args:
+        smallest_spread_ratio: Access points closer to one line than this give no fix (``planar``).
+        reach_m: A solution is refused where its distance to the reference exceeds the reference's range by
+            more than this, metres: no position can be that far from an access point it is near to.
+    """
+
+    smallest_spread_ratio: float = SMALLEST_SPREAD_RATIO
+    reach_m: float = 10.0
+
+
+def nearest_access_points(ranges: Tensor, heard: Tensor) -> Tensor:
+    """Return the index of the smallest range heard, shape (B,); 0 where nothing is heard."""
+    return torch.where(heard, ranges, torch.inf).argmin(-1)
+
+
+def solve_linear(
+    ranges: Tensor,
+    access_points: Tensor,
+    sigmas: Tensor,
+    heard: Tensor,
+    *,
+    reference: Tensor,
+    settings: LinearSettings = LinearSettings(),
+) -> Estimate:
+    """Solve the unweighted linear system against a reference access point.
+
+    The covariance carries the range variances through the solution, to first order: with G = (MᵀM)⁻¹Mᵀ it is
+    G C Gᵀ, C_ij = 4 d_r² σ_r² + [i = j] 4 d_i² σ_i².
+
+    Args:
+        ranges: Calibrated distances in the plan, shape (B, A), metres; ignored where ``heard`` is False.
+        access_points: Positions, shape (A, 2), metres, site frame.
+        sigmas: Standard deviation of each range, shape (B, A), metres.
+        heard: True where the access point answered, shape (B, A).
+        reference: Index of each row's reference, shape (B,); it must be heard.
+        settings: Guards.
+
+    Returns:
+        Estimate with positions (B, 2) and covariances (B, 2, 2). No fix with fewer than three ranges, with
+        access points on one line, and where the solution is out of the reference's reach.
+    """
+    index = reference[:, None]
+    origin = access_points[reference]
+    reference_range = ranges.gather(1, index)
+    used = heard.scatter(1, index, False)
+    arms = torch.where(used[..., None], access_points - origin[:, None, :], 0.0)
+    right = torch.where(used, reference_range.square() - ranges.square() + arms.square().sum(-1), 0.0)
+    gain = symmetric_inverse(4 * arms.mT @ arms) @ (2 * arms.mT)
+    away = (gain @ right[..., None])[..., 0]
+    own = torch.where(used, 4 * (ranges * sigmas).square(), 0.0)
+    shared = 4 * (reference_range * sigmas.gather(1, index)).square()
+    summed = (gain * used[:, None, :]).sum(-1)
+    covariances = (gain * own[:, None, :]) @ gain.mT
+    covariances = covariances + shared[..., None] * summed[..., None] * summed[:, None, :]
+    is_spread = spread_ratios(access_points, heard) >= settings.smallest_spread_ratio
+    is_within = away.norm(dim=-1) <= reference_range[:, 0] + settings.reach_m
+    return estimate(origin + away, covariances, reasons_for(heard, is_spread & is_within))

@@ -1,0 +1,182 @@
+"""Nonlinear least squares on ranges: min Σ ρ((|x − p_i| − d_i)/σ_i) (Guvenc, Chong, Watanabe, VTC 2007).
+
+Reading of the source: damped Newton steps with the 2 × 2 systems in closed form, a fixed number of them, and
+several starts, of which the one with the least cost wins. Departure: beside the centroid of the access points
+heard, the starts are the best points of the four quarters of the smallest range circle and the mirror image
+of the best of them in the main axis of the access points, where the second minimum lies. They reach the global
+minimum without the previous fix, so that an interval is solved alone; further starts can still be handed in.
+
+Axes: B intervals, A access points, S starts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fploc.methods.interface import Estimate, estimate
+from fploc.solvers.losses import Loss, SquaredLoss
+from fploc.solvers.planar import (
+    SMALLEST_SPREAD_RATIO,
+    centroids,
+    eigenvalues,
+    mirrored,
+    spread_ratios,
+    symmetric_inverse,
+)
+from fploc.solvers.reasons import reasons_for
+
+CIRCLE_POINTS, QUARTERS = 16, 4
+SHORTEST_DISTANCE_M = 1e-9
+LEAST_DAMPING, MOST_DAMPING = 1e-12, 1e12
+
+
+@dataclass(frozen=True)
+class NonlinearSettings:
+    """Settings of the iteration.
+
+    Args:
+        iterations: Steps from every start.
+        damping: First damping, as a share of the largest curvature.
+        smallest_spread_ratio: Access points closer to one line than this give no fix (``planar``).
+    """
+
+    iterations: int = 30
+    damping: float = 1e-3
+    smallest_spread_ratio: float = SMALLEST_SPREAD_RATIO
+
+
+@dataclass(frozen=True)
+class _Ranges:
+    """The problem: ``ranges``, ``sigmas``, ``heard`` (B, A), ``access_points`` (A, 2), ``loss``."""
+
+    ranges: Tensor
+    access_points: Tensor
+    sigmas: Tensor
+    heard: Tensor
+    loss: Loss
+
+    def scaled_residuals(self, positions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return residuals over σ, (B, S, A), and their Jacobian, (B, S, A, 2), at ``positions`` (B, S, 2)."""
+        away = positions[..., None, :] - self.access_points
+        distances = away.square().sum(-1).sqrt().clamp(min=SHORTEST_DISTANCE_M)
+        scale = (self.heard / self.sigmas)[:, None, :]
+        return (distances - self.ranges[:, None, :]) * scale, away * (scale / distances)[..., None]
+
+    def cost(self, positions: Tensor) -> Tensor:
+        """Return the sum of the losses, (B, S), at ``positions`` (B, S, 2)."""
+        return self.loss.value(self.scaled_residuals(positions)[0]).sum(-1)
+
+    def information(self, positions: Tensor) -> Tensor:
+        """Return JᵀWJ, shape (B, S, 2, 2)."""
+        scaled, jacobian = self.scaled_residuals(positions)
+        return (jacobian * self.loss.weight(scaled)[..., None]).mT @ jacobian
+
+    def newton_equations(self, positions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the curvature of the cost, (B, S, 2, 2), and its slope, (B, S, 2).
+
+        Beside JᵀWJ the curvature holds what Gauss–Newton drops, the bending of the range circles,
+        w (1 − d/r) across each line of sight: with residuals of metres it decides the speed.
+        """
+        scaled, jacobian = self.scaled_residuals(positions)
+        weights = self.loss.weight(scaled)
+        scale = (self.heard / self.sigmas)[:, None, :]
+        distances = (positions[..., None, :] - self.access_points).square().sum(-1).sqrt()
+        bend = weights * scale * scaled / distances.clamp(min=SHORTEST_DISTANCE_M)
+        across = torch.where(scale > 0, bend / scale.square(), 0.0)[..., None]
+        identity = torch.eye(2, dtype=positions.dtype, device=positions.device)
+        curvature = (jacobian * (weights[..., None] - across)).mT @ jacobian
+        curvature = curvature + bend.sum(-1)[..., None, None] * identity
+        return curvature, (jacobian * (weights * scaled)[..., None]).sum(-2)
+
+
+def default_starts(ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard: Tensor) -> Tensor:
+    """Return the centroid of the access points heard, and points on and across the smallest range circle.
+
+    Args:
+        ranges: Shape (B, A), metres; ignored where ``heard`` is False.
+        access_points: Shape (A, 2), metres, site frame.
+        sigmas: Standard deviation of each range, shape (B, A), metres.
+        heard: Shape (B, A).
+
+    Returns:
+        Shape (B, 6, 2), metres, site frame.
+    """
+    radius, nearest = torch.where(heard, ranges, torch.inf).min(-1)
+    radius = torch.where(torch.isfinite(radius), radius, 0.0)
+    angles = torch.arange(CIRCLE_POINTS, dtype=ranges.dtype, device=ranges.device) * (2 * torch.pi / CIRCLE_POINTS)
+    directions = torch.stack([angles.cos(), angles.sin()], -1)
+    circle = access_points[nearest][:, None, :] + radius[:, None, None] * directions
+    costs = _Ranges(ranges, access_points, sigmas, heard, SquaredLoss()).cost(circle)
+    quarters = costs.unflatten(-1, (QUARTERS, CIRCLE_POINTS // QUARTERS))
+    chosen = quarters.argmin(-1) + torch.arange(0, CIRCLE_POINTS, CIRCLE_POINTS // QUARTERS, device=circle.device)
+    rows = torch.arange(len(circle), device=circle.device)
+    best = circle[rows, costs.argmin(-1)]
+    single = torch.stack([centroids(access_points, heard), mirrored(best, access_points, heard)], dim=1)
+    return torch.cat([single, circle[rows[:, None], chosen]], dim=1)
+
+
+def solve_nonlinear(
+    ranges: Tensor,
+    access_points: Tensor,
+    sigmas: Tensor,
+    heard: Tensor,
+    *,
+    starts: Tensor | None = None,
+    loss: Loss = SquaredLoss(),
+    settings: NonlinearSettings = NonlinearSettings(),
+) -> Estimate:
+    """Solve for positions by damped Newton steps from several starts.
+
+    The covariance is (JᵀWJ)⁻¹ at the solution, with the given ``sigmas``, times the residual variance
+    χ²/(n − 2) where that exceeds 1: residuals larger than promised widen it, and small ones of three or four
+    ranges, which prove little, do not narrow it.
+
+    Args:
+        ranges: Calibrated distances in the plan, shape (B, A), metres; ignored where ``heard`` is False.
+        access_points: Positions, shape (A, 2), metres, site frame.
+        sigmas: Standard deviation of each range, shape (B, A), metres.
+        heard: True where the access point answered, shape (B, A).
+        starts: Further starts, for example the previous fix, shape (B, S, 2), metres, site frame.
+        loss: Loss of the residuals over their standard deviations.
+        settings: Of the iteration.
+
+    Returns:
+        Estimate with positions (B, 2) and covariances (B, 2, 2). No fix with fewer than three ranges, and
+        where the access points heard stand on one line.
+    """
+    problem = _Ranges(torch.where(heard, ranges, 0.0), access_points, sigmas, heard, loss)
+    positions = default_starts(problem.ranges, access_points, sigmas, heard)
+    if starts is not None:
+        positions = torch.cat([positions, starts], dim=1)
+    positions = _descend(problem, positions, settings)
+    rows = torch.arange(len(positions), device=positions.device)
+    solved = positions[rows, problem.cost(positions).argmin(-1)]
+    information = problem.information(solved[:, None, :])
+    scaled, _ = problem.scaled_residuals(solved[:, None, :])
+    freedom = (heard.sum(-1) - 2).clamp(min=1)
+    variance = (2 * loss.value(scaled).sum(-1)[:, 0] / freedom).clamp(min=1.0)
+    covariances = symmetric_inverse(information[:, 0]) * variance[:, None, None]
+    ratios = spread_ratios(access_points, heard)
+    return estimate(solved, covariances, reasons_for(heard, ratios >= settings.smallest_spread_ratio))
+
+
+def _descend(problem: _Ranges, positions: Tensor, settings: NonlinearSettings) -> Tensor:
+    """Iterate every start, shape (B, S, 2); a step that does not lower the cost is not taken."""
+    costs = problem.cost(positions)
+    damping = torch.full_like(costs, settings.damping)
+    identity = torch.eye(2, dtype=positions.dtype, device=positions.device)
+    for _ in range(settings.iterations):
+        curvature, slope = problem.newton_equations(positions)
+        smallest, largest = eigenvalues(curvature)
+        shift = (-2 * smallest).clamp(min=0.0) + damping * torch.maximum(largest.abs(), smallest.abs())
+        damped = curvature + shift[..., None, None] * identity
+        trial = positions - (symmetric_inverse(damped) @ slope[..., None])[..., 0]
+        trial_costs = problem.cost(trial)
+        better = trial_costs < costs
+        positions = torch.where(better[..., None], trial, positions)
+        costs = torch.where(better, trial_costs, costs)
+        damping = torch.where(better, damping / 10, damping * 10).clamp(LEAST_DAMPING, MOST_DAMPING)
+    return positions
