@@ -25,10 +25,8 @@ def test_every_column_stands_on_the_page_with_its_meaning() -> None:
 
 
 def test_stale_parts_are_replaced_and_the_rest_is_kept() -> None:
-    page = "\n".join(
-        ["before", "<!-- columns: from here -->", "stale", "<!-- end -->", "between"]
-        + ["<!-- faults: from here -->", "<!-- end -->", "after\n"]
-    )
+    columns, faults = "<!-- columns: from here -->", "<!-- faults: from here -->"
+    page = f"before\n{columns}\nstale\n<!-- end -->\nbetween\n{faults}\n<!-- end -->\nafter\n"
     fresh = refreshed(page)
     assert fresh.startswith("before\n<!-- columns: from here -->\n### readings\n")
     assert "<!-- end -->\nbetween\n<!-- faults: from here -->\n| site |" in fresh
