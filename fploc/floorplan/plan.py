@@ -37,8 +37,8 @@ class FloorPlan:
 
     def write(self, grey_path: Path, walls_path: Path) -> None:
         """Write both rasters as PNG files (walls: 0 wall, 255 free)."""
-        _write_image(grey_path, self.grey)
-        _write_image(walls_path, np.where(self.walls, _WALL, _FREE).astype(np.uint8))
+        write_grey_image(grey_path, self.grey)
+        write_grey_image(walls_path, np.where(self.walls, _WALL, _FREE).astype(np.uint8))
 
 
 def read_grey_image(path: Path) -> Grey:
@@ -83,7 +83,8 @@ def read_floor_plan(grey_path: Path, walls_path: Path, georeference: Georeferenc
     return FloorPlan(name=name, grey=grey, walls=walls < (_WALL + _FREE) / 2, georeference=georeference)
 
 
-def _write_image(path: Path, image: Grey) -> None:
+def write_grey_image(path: Path, image: Grey) -> None:
+    """Write an image, shape (H, W), uint8, as PNG: under a temporary name, then renamed."""
     done, encoded = cv2.imencode(".png", image)
     assert done, "OpenCV encodes every uint8 array as PNG"
     temporary = path.with_name(f".{path.name}.partial")
