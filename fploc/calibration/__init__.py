@@ -1,1 +1,1 @@
-"""Range offsets: fitted on source recordings, applied to any."""
+"""Range offsets: fitted on source recordings after the split, saved, applied."""

@@ -38,13 +38,20 @@ class NonlinearSettings:
     """Settings of the iteration.
 
     Args:
-        iterations: Steps from every start.
+        gauss_newton_steps: Levenberg–Marquardt steps from every start: they find the valley.
+        newton_steps: Steps with the full curvature thereafter, which reach its bottom where residuals of
+            metres slow Gauss–Newton down.
         damping: First damping, as a share of the largest curvature.
+        advantage: The centroid's minimum is left for another whose cost is below this share of its own.
+            Two minima of like cost say nothing, and devices are more often among the access points than
+            outside; without noise the true position has no cost and always wins. 1 takes the global minimum.
         smallest_spread_ratio: Access points closer to one line than this give no fix (``planar``).
     """
 
-    iterations: int = 30
+    gauss_newton_steps: int = 15
+    newton_steps: int = 5
     damping: float = 1e-3
+    advantage: float = 0.25
     smallest_spread_ratio: float = SMALLEST_SPREAD_RATIO
 
 
@@ -69,10 +76,11 @@ class _Ranges:
         """Return the sum of the losses, (B, S), at ``positions`` (B, S, 2)."""
         return self.loss.value(self.scaled_residuals(positions)[0]).sum(-1)
 
-    def information(self, positions: Tensor) -> Tensor:
-        """Return JᵀWJ, shape (B, S, 2, 2)."""
+    def gauss_newton_equations(self, positions: Tensor) -> tuple[Tensor, Tensor]:
+        """Return JᵀWJ, shape (B, S, 2, 2), and the slope of the cost, (B, S, 2)."""
         scaled, jacobian = self.scaled_residuals(positions)
-        return (jacobian * self.loss.weight(scaled)[..., None]).mT @ jacobian
+        weighted = jacobian * self.loss.weight(scaled)[..., None]
+        return weighted.mT @ jacobian, (weighted * scaled[..., None]).sum(-2)
 
     def newton_equations(self, positions: Tensor) -> tuple[Tensor, Tensor]:
         """Return the curvature of the cost, (B, S, 2, 2), and its slope, (B, S, 2).
@@ -152,9 +160,11 @@ def solve_nonlinear(
     if starts is not None:
         positions = torch.cat([positions, starts], dim=1)
     positions = _descend(problem, positions, settings)
+    costs = problem.cost(positions)
+    costs[:, 1:] /= settings.advantage
     rows = torch.arange(len(positions), device=positions.device)
-    solved = positions[rows, problem.cost(positions).argmin(-1)]
-    information = problem.information(solved[:, None, :])
+    solved = positions[rows, costs.argmin(-1)]
+    information, _ = problem.gauss_newton_equations(solved[:, None, :])
     scaled, _ = problem.scaled_residuals(solved[:, None, :])
     freedom = (heard.sum(-1) - 2).clamp(min=1)
     variance = (2 * loss.value(scaled).sum(-1)[:, 0] / freedom).clamp(min=1.0)
@@ -168,8 +178,9 @@ def _descend(problem: _Ranges, positions: Tensor, settings: NonlinearSettings) -
     costs = problem.cost(positions)
     damping = torch.full_like(costs, settings.damping)
     identity = torch.eye(2, dtype=positions.dtype, device=positions.device)
-    for _ in range(settings.iterations):
-        curvature, slope = problem.newton_equations(positions)
+    systems = [problem.gauss_newton_equations] * settings.gauss_newton_steps
+    for equations in systems + [problem.newton_equations] * settings.newton_steps:
+        curvature, slope = equations(positions)
         smallest, largest = eigenvalues(curvature)
         shift = (-2 * smallest).clamp(min=0.0) + damping * torch.maximum(largest.abs(), smallest.abs())
         damped = curvature + shift[..., None, None] * identity

@@ -58,7 +58,7 @@ def solve_trilateration(
         nowhere = torch.full((len(ranges), 2), torch.nan, dtype=ranges.dtype, device=ranges.device)
         no_spread = nowhere[:, :, None].expand(-1, -1, 2)
         return estimate(nowhere, no_spread, reasons_for(heard, torch.zeros_like(heard[:, :1])[:, 0]))
-    order = torch.where(heard, ranges, torch.inf).argsort(-1, stable=True)
+    order = torch.where(heard, ranges, torch.inf).argsort(stable=True, dim=-1)
     chosen, is_regular = _choose(order, access_points, heard, settings.smallest_sine)
     three = torch.zeros_like(heard).scatter(1, chosen, True) & heard
     guards = LinearSettings(smallest_spread_ratio=0.0, reach_m=settings.reach_m)

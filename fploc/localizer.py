@@ -1,0 +1,291 @@
+"""Readings in, position and covariance out: offline evaluation and a live server both go through here.
+
+A ``Localizer`` is advanced one interval at a time for a batch of devices; ``localize`` runs whole recordings
+through it. Range offsets are subtracted from slant ranges, and only then are these projected to the plan.
+
+Axes: B recordings, T time, A access points.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fploc.calibration.offsets import RangeOffsets
+from fploc.datasets.recordings import PaddedRecordings, Recording, pad
+from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
+from fploc.methods.interface import Estimate, Intervals, Method, NoFix
+from fploc.methods.one_shot import Memoryless
+from fploc.sites.site import Site
+
+ROWS_AT_ONCE = 4096
+"""Intervals that a memoryless method solves in one call: bounds memory, not results."""
+
+
+def plan_ranges(slant_m: Tensor, height_differences_m: Tensor) -> Tensor:
+    """Project slant ranges to the plan: √max(0, d² − h²).
+
+    Args:
+        slant_m: Calibrated ranges in space, shape (…, A), metres.
+        height_differences_m: Height of each access point above the devices, shape (A,), metres.
+
+    Returns:
+        Shape (…, A), metres.
+    """
+    return (slant_m.clamp(min=0.0).square() - height_differences_m.square()).clamp(min=0.0).sqrt()
+
+
+@dataclass(frozen=True)
+class Path:
+    """Positions of one recording.
+
+    Args:
+        positions_m: Shape (T, 2), metres, site frame; NaN where there is no fix.
+        covariances_m2: Shape (T, 2, 2), square metres; NaN where there is no fix.
+        reasons: ``NoFix`` of each interval, shape (T,).
+        ms_per_fix: Time that an interval of its batch took, milliseconds.
+    """
+
+    positions_m: NDArray[np.float64]
+    covariances_m2: NDArray[np.float64]
+    reasons: NDArray[np.int64]
+    ms_per_fix: float
+
+    @property
+    def fixed(self) -> NDArray[np.bool_]:
+        """True where there is a position, shape (T,)."""
+        return self.reasons == NoFix.FIXED
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a method made of one recording, before and after the filter.
+
+    Args:
+        recording: The readings it was made from.
+        unfiltered: The method's own fixes.
+        filtered: After the Kalman filter, whose time is added; None where no filter was asked for.
+    """
+
+    recording: Recording
+    unfiltered: Path
+    filtered: Path | None
+
+    @property
+    def t_s(self) -> NDArray[np.float64]:
+        """Device time, shape (T,), seconds."""
+        return self.recording.t_s
+
+
+@dataclass(frozen=True)
+class LocalizerState:
+    """State of the method and of the filter behind it, for a batch of devices; no tracks without a filter."""
+
+    method: Any
+    tracks: KalmanState | None
+
+
+class Localizer:
+    """A method at a site, with its range offsets and a filter behind it.
+
+    Args:
+        method: Turns calibrated intervals into positions.
+        site: Where the devices are.
+        offsets: Subtracted from slant ranges.
+        filter_settings: Of the Kalman filter; None for the method's fixes alone.
+        device: Where torch computes.
+    """
+
+    def __init__(
+        self,
+        method: Method,
+        site: Site,
+        offsets: RangeOffsets,
+        filter_settings: KalmanSettings | None = None,
+        *,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.method = method
+        self.site = site
+        self.filter = None if filter_settings is None else BatchedFilter(filter_settings)
+        self.device = torch.device(device)
+        self._offsets_m = torch.from_numpy(offsets.per_access_point_m(site.macs)).to(self.device)
+        self._heights_m = torch.from_numpy(site.height_differences_m).to(self.device)
+
+    def init(self, devices: int) -> LocalizerState:
+        """Return the state of ``devices`` devices before their first interval."""
+        tracks = None if self.filter is None else self.filter.init(devices, device=self.device)
+        return LocalizerState(self.method.init(self.site, devices), tracks)
+
+    def calibrated(self, slant_m: Tensor, heard: Tensor) -> Tensor:
+        """Return ranges in the plan without their offset, shape (…, A), metres; 0 where not heard."""
+        return torch.where(heard, plan_ranges(slant_m - self._offsets_m, self._heights_m), 0.0)
+
+    def advance(self, state: LocalizerState, intervals: Intervals) -> tuple[LocalizerState, Estimate]:
+        """Advance every device that is present by one interval.
+
+        Args:
+            state: Of the devices.
+            intervals: With calibrated ranges (``calibrated``).
+
+        Returns:
+            The new state and the estimate, filtered where there is a filter.
+        """
+        state, found = self.locate(state, intervals)
+        return self.smooth(state, intervals, found)
+
+    def locate(self, state: LocalizerState, intervals: Intervals) -> tuple[LocalizerState, Estimate]:
+        """Advance the method alone."""
+        method_state, found = self.method.step(state.method, intervals)
+        return replace(state, method=method_state), found
+
+    def smooth(
+        self, state: LocalizerState, intervals: Intervals, found: Estimate
+    ) -> tuple[LocalizerState, Estimate]:
+        """Advance the filter alone by what the method found; without a filter that is the estimate."""
+        if self.filter is None or state.tracks is None:
+            return state, found
+        tracks, filtered = self.filter.step(state.tracks, intervals.t_s, intervals.present, found)
+        return replace(state, tracks=tracks), filtered
+
+
+def localize(
+    method: Method,
+    site: Site,
+    recordings: Sequence[Recording],
+    offsets: RangeOffsets,
+    filter_settings: KalmanSettings | None,
+    *,
+    device: torch.device | str = "cpu",
+) -> list[Track]:
+    """Run a method over recordings, all at once and each from a fresh state.
+
+    Args:
+        method: The method; one that declares itself ``Memoryless`` is given many intervals per call.
+        site: Where the recordings were made.
+        recordings: At least one.
+        offsets: Range offsets to remove.
+        filter_settings: Of the Kalman filter on the method's fixes; None for none.
+        device: Where torch computes.
+
+    Returns:
+        One track for each recording, in their order.
+    """
+    padded = pad(recordings)
+    localizer = Localizer(method, site, offsets, filter_settings, device=device)
+    intervals = _all_intervals(localizer, padded)
+    count = int(padded.present.sum())
+    with torch.inference_mode():
+        started = time.perf_counter()
+        locate = _locate_together if isinstance(method, Memoryless) and method.memoryless else _locate_in_turn
+        found = locate(localizer, intervals)
+        located = time.perf_counter()
+        filtered = None if filter_settings is None else _smooth_in_turn(localizer, intervals, found)
+        smoothed = time.perf_counter()
+    tracks = []
+    for index, recording in enumerate(recordings):
+        length = len(recording)
+        unfiltered = _path(found, index, length, ms_per_fix=1000.0 * (located - started) / count)
+        own = None
+        if filtered is not None:
+            own = _path(filtered, index, length, ms_per_fix=1000.0 * (smoothed - started) / count)
+        tracks.append(Track(recording, unfiltered, own))
+    return tracks
+
+
+def _all_intervals(localizer: Localizer, padded: PaddedRecordings) -> Intervals:
+    """Return all intervals with a leading time axis: (T, B, …)."""
+
+    def tensor(array: NDArray[Any]) -> Tensor:
+        return torch.from_numpy(array).to(localizer.device)
+
+    heard = tensor(padded.heard)
+    return Intervals(
+        t_s=tensor(padded.t_s),
+        ranges=localizer.calibrated(tensor(padded.slant_m), heard),
+        stds=tensor(padded.std_m),
+        rss=tensor(padded.rss_dbm),
+        heard=heard,
+        present=tensor(padded.present),
+    )
+
+
+def _rows(intervals: Intervals, at: slice | int) -> Intervals:
+    """Return the intervals at an index or slice of the first axis."""
+    return Intervals(
+        t_s=intervals.t_s[at],
+        ranges=intervals.ranges[at],
+        stds=intervals.stds[at],
+        rss=intervals.rss[at],
+        heard=intervals.heard[at],
+        present=intervals.present[at],
+    )
+
+
+def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:
+    """Locate every interval of every recording as one batch; estimates have shape (T, B, …)."""
+    steps, devices = intervals.t_s.shape
+    flat = Intervals(
+        t_s=intervals.t_s.flatten(),
+        ranges=intervals.ranges.flatten(0, 1),
+        stds=intervals.stds.flatten(0, 1),
+        rss=intervals.rss.flatten(0, 1),
+        heard=intervals.heard.flatten(0, 1),
+        present=intervals.present.flatten(),
+    )
+    found = []
+    for start in range(0, steps * devices, ROWS_AT_ONCE):
+        chunk = _rows(flat, slice(start, start + ROWS_AT_ONCE))
+        found.append(localizer.locate(localizer.init(len(chunk.t_s)), chunk)[1])
+    return Estimate(
+        positions=torch.cat([one.positions for one in found]).unflatten(0, (steps, devices)),
+        covariances=torch.cat([one.covariances for one in found]).unflatten(0, (steps, devices)),
+        reasons=torch.cat([one.reasons for one in found]).unflatten(0, (steps, devices)),
+    )
+
+
+def _locate_in_turn(localizer: Localizer, intervals: Intervals) -> Estimate:
+    """Step the method through time; estimates have shape (T, B, …)."""
+    state = localizer.init(intervals.t_s.shape[1])
+    found = []
+    for step in range(len(intervals.t_s)):
+        state, one = localizer.locate(state, _rows(intervals, step))
+        found.append(one)
+    return _stacked(found)
+
+
+def _smooth_in_turn(localizer: Localizer, intervals: Intervals, found: Estimate) -> Estimate:
+    """Step the filter through time over the method's estimates; shapes (T, B, …)."""
+    state = localizer.init(intervals.t_s.shape[1])
+    filtered = []
+    for step in range(len(intervals.t_s)):
+        fixes = Estimate(found.positions[step], found.covariances[step], found.reasons[step])
+        state, one = localizer.smooth(state, _rows(intervals, step), fixes)
+        filtered.append(one)
+    return _stacked(filtered)
+
+
+def _stacked(estimates: Sequence[Estimate]) -> Estimate:
+    """Return estimates of one interval each as one with a leading time axis."""
+    return Estimate(
+        positions=torch.stack([one.positions for one in estimates]),
+        covariances=torch.stack([one.covariances for one in estimates]),
+        reasons=torch.stack([one.reasons for one in estimates]),
+    )
+
+
+def _path(found: Estimate, index: int, length: int, *, ms_per_fix: float) -> Path:
+    """Return the path of one recording out of a batch."""
+    return Path(
+        positions_m=found.positions[:length, index].double().cpu().numpy(),
+        covariances_m2=found.covariances[:length, index].double().cpu().numpy(),
+        reasons=found.reasons[:length, index].cpu().numpy(),
+        ms_per_fix=ms_per_fix,
+    )
