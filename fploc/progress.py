@@ -22,3 +22,8 @@ def track(items: Sequence[Item], description: str) -> Iterator[Item]:
     )
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         yield from progress.track(items, description=description)
+
+
+def is_shown() -> bool:
+    """Return whether progress is shown: stderr is a terminal."""
+    return Console(stderr=True).is_terminal

@@ -52,7 +52,7 @@ def radio_graph(intervals: Intervals, access_points: Tensor, first_estimates: Te
         pos=torch.cat([first_estimates, access_points]),
         devices=devices,
         edge_index=torch.stack([sources, targets]),
-        edge_attr=attributes,
+        edge_attr=attributes.to(first_estimates.dtype),
     )
 
 

@@ -6,7 +6,11 @@ import torch
 from timm.layers import DropPath, Mlp, trunc_normal_
 from torch import Tensor, nn
 
+from fploc.floorplan.raster import CropSettings
 from fploc.models.layers.reattention import ReAttention
+
+CROP_WIDTH_M = 4.0
+"""Extent of a crop across the link, H of the paper: 256 pixels at 64 px/m."""
 
 
 def valid_columns(lengths_px: Tensor, patch_length_px: int, columns: int) -> Tensor:
@@ -103,6 +107,8 @@ class DeepViT(nn.Module):
         drop_path: float = 0.0,
     ) -> None:
         super().__init__()
+        self.crop_height_px = crop_height_px
+        self.max_length_px = max_length_px
         self.patch_px = patch_px
         self.rows = crop_height_px // patch_px[0]
         self.columns = max_length_px // patch_px[1]
@@ -118,6 +124,16 @@ class DeepViT(nn.Module):
         self.head = nn.Sequential(nn.LayerNorm(dim), nn.Linear(dim, features), nn.ReLU())
         for parameter in (self.class_token, self.class_position, self.patch_positions):
             trunc_normal_(parameter, std=0.02)
+
+    @property
+    def crops(self) -> CropSettings:
+        """How crops for this network are taken."""
+        return CropSettings(
+            pixels_per_metre=self.crop_height_px / CROP_WIDTH_M,
+            width_m=CROP_WIDTH_M,
+            max_length_px=self.max_length_px,
+            patch_length_px=self.patch_px[1],
+        )
 
     def forward(self, images: Tensor, lengths_px: Tensor) -> Tensor:
         """Return the features of crops; see the class for shapes."""

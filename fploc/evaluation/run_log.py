@@ -1,0 +1,100 @@
+"""MLflow as a record of runs: written to, never read to find a model."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lightning.pytorch.loggers import Logger
+    from matplotlib.figure import Figure
+
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+
+DATABASE = "mlflow.db"
+ARTIFACTS = "mlflow-artifacts"
+
+
+class RunLog:
+    """An MLflow experiment in an SQLite store below ``folder``.
+
+    Args:
+        folder: Holds the store ``mlflow.db`` and the runs' files.
+        experiment: Name of the experiment.
+    """
+
+    def __init__(self, folder: Path, experiment: str) -> None:
+        import mlflow
+
+        folder.mkdir(parents=True, exist_ok=True)
+        self.uri = f"sqlite:///{(folder / DATABASE).resolve()}"
+        with warnings.catch_warnings():
+            # MLflow's own use of SQLAlchemy.
+            warnings.simplefilter("ignore")
+            self._client = mlflow.MlflowClient(tracking_uri=self.uri)
+            found = self._client.get_experiment_by_name(experiment)
+            location = (folder / ARTIFACTS).resolve().as_uri()
+            self._experiment = (
+                self._client.create_experiment(experiment, artifact_location=location)
+                if found is None
+                else found.experiment_id
+            )
+        self._name = experiment
+
+    def record(
+        self,
+        name: str,
+        *,
+        tags: Mapping[str, str],
+        parameters: Mapping[str, object],
+        metrics: Mapping[str, float],
+        figures: Mapping[str, Figure],
+        folders: Mapping[str, Path],
+    ) -> str:
+        """Write one finished run and return its id; an older run of the same name and tags is deleted.
+
+        Args:
+            name: Of the run.
+            tags: For example ``kind=zero-shot``.
+            parameters: Settings.
+            metrics: Numbers; those that are not finite are left out.
+            figures: By file name.
+            folders: Folders to keep with the run, by the name they get there.
+        """
+        from mlflow.entities import Metric, Param, RunTag
+
+        self._delete_earlier(name, tags)
+        run = self._client.create_run(self._experiment, run_name=name, tags=dict(tags))
+        run_id: str = run.info.run_id
+        finite = {key: value for key, value in metrics.items() if value == value and abs(value) < float("inf")}
+        self._client.log_batch(
+            run_id,
+            metrics=[Metric(key, value, 0, 0) for key, value in finite.items()],
+            params=[Param(key, str(value)) for key, value in parameters.items()],
+            tags=[RunTag(key, value) for key, value in tags.items()],
+        )
+        for file, figure in figures.items():
+            self._client.log_figure(run_id, figure, f"figures/{file}")
+        for label, folder in folders.items():
+            self._client.log_artifacts(run_id, str(folder), artifact_path=label)
+        self._client.set_terminated(run_id)
+        return run_id
+
+    def training_logger(self, name: str, tags: Mapping[str, str]) -> Logger:
+        """Return a Lightning logger whose run holds the curves of one training."""
+        from lightning.pytorch.loggers import MLFlowLogger
+
+        return MLFlowLogger(
+            experiment_name=self._name, run_name=name, tracking_uri=self.uri, tags=dict(tags)
+        )
+
+    def _delete_earlier(self, name: str, tags: Mapping[str, str]) -> None:
+        conditions = [f"attributes.run_name = '{name}'"]
+        conditions += [f"tags.`{key}` = '{value}'" for key, value in tags.items() if key != "commit"]
+        for run in self._client.search_runs([self._experiment], filter_string=" and ".join(conditions)):
+            with suppress(OSError):
+                self._client.delete_run(run.info.run_id)

@@ -1,0 +1,83 @@
+"""Presets of ``fploc reproduce``: conf/experiment/<name>.yaml."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from fploc.conf import read_conf
+from fploc.errors import BadFileError
+
+PRESETS = ("smoke", "default", "full", "paper")
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What one reproduction trains and evaluates.
+
+    Args:
+        name: Of the preset.
+        seeds: One training for each.
+        networks: Name in conf/model/ of ``generator``, ``gnn`` and ``fpdnn``.
+        solver: ``lls`` (published) or ``nls``, behind FPDNN.
+        targets: Sites of the protocol ``zero-shot``.
+        calibration: Range offsets of learned methods.
+        labels: Labels to learn from.
+        batch_intervals: Intervals of a training batch.
+        batches_per_epoch: Batches of an epoch, from each stream.
+        epochs: Of each training.
+        learning_rates: Of each network.
+        random_layout_share: Share of virtual batches with access points elsewhere.
+        thin: Every so many-th interval is evaluated.
+    """
+
+    name: str
+    seeds: tuple[int, ...]
+    networks: dict[str, str]
+    solver: str
+    targets: tuple[str, ...]
+    calibration: str
+    labels: str
+    batch_intervals: int
+    batches_per_epoch: int
+    epochs: dict[str, int]
+    learning_rates: dict[str, float]
+    random_layout_share: float
+    thin: int
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash over everything that the results depend on, network configurations included."""
+        described = asdict(self) | {
+            "conf": {name: read_conf("model", file) for name, file in self.networks.items()}
+        }
+        return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
+
+    @property
+    def network_specs(self) -> dict[str, dict[str, Any]]:
+        """``class_path`` and ``init_args`` of each network."""
+        return {name: read_conf("model", file) for name, file in self.networks.items()}
+
+
+def read_preset(name: str) -> Preset:
+    """Return the preset ``name``.
+
+    Raises:
+        UnknownNameError: If there is no such preset.
+        BadFileError: If a key is missing or unknown.
+    """
+    values = read_conf("experiment", name)
+    expected = {field.name for field in fields(Preset)} - {"name"}
+    if set(values) != expected:
+        wrong = sorted(set(values) ^ expected)
+        raise BadFileError(
+            f"conf/experiment/{name}.yaml",
+            "keys",
+            value=f"missing or unknown: {', '.join(wrong)}",
+            expected=", ".join(sorted(expected)),
+            way_out="correct the file",
+        )
+    values["seeds"], values["targets"] = tuple(values["seeds"]), tuple(values["targets"])
+    return Preset(name=name, **values)

@@ -1,0 +1,90 @@
+"""``gnn-fpdnn``: the paper's chain from readings to a position."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
+from fploc.floorplan.raster import CropSettings, PlanRaster
+from fploc.graphs.links import links_of
+from fploc.methods.gnn import GNNMethod
+from fploc.methods.interface import Estimate, Intervals
+from fploc.methods.one_shot import RangeSolver
+from fploc.models.fpdnn import FPDNN
+from fploc.sites.site import Site
+
+
+@dataclass(frozen=True)
+class ChainState:
+    """Access points, shape (A, 2), metres, and the tracks of the coarse positions."""
+
+    access_points: Tensor
+    coarse: KalmanState
+
+
+class GNNFPDNN:
+    """GNN → Kalman filter → crops → FPDNN → least squares (paper, "Framework of Localization System").
+
+    The Kalman filter smooths the coarse positions before they are used for cropping; the one behind the
+    final positions is the localizer's.
+
+    Args:
+        coarse: The GNN as a method.
+        network: The trained FPDNN, in evaluation mode.
+        plan: Plan that crops are taken from.
+        crops: How they are taken.
+        solver: From corrected ranges to a position; the paper's is linear.
+        sigma_m: Standard deviation of a corrected range, metres, from the validation recordings.
+        filter_settings: Of the filter on coarse positions.
+    """
+
+    name = "gnn-fpdnn"
+
+    def __init__(
+        self,
+        coarse: GNNMethod,
+        network: FPDNN,
+        plan: PlanRaster,
+        crops: CropSettings,
+        solver: RangeSolver,
+        sigma_m: float,
+        filter_settings: KalmanSettings,
+    ) -> None:
+        self.coarse = coarse
+        self.network = network
+        self.plan = plan
+        self.crops = crops
+        self.solver = solver
+        self.sigma_m = sigma_m
+        self.filter = BatchedFilter(filter_settings)
+
+    def init(self, site: Site, devices: int) -> ChainState:
+        """Return the state of ``devices`` devices before their first interval."""
+        return ChainState(access_points=self.coarse.init(site, devices), coarse=self.filter.init(devices))
+
+    @torch.no_grad()
+    def step(self, state: ChainState, intervals: Intervals) -> tuple[ChainState, Estimate]:
+        """Locate every device from one interval."""
+        _, found = self.coarse.step(state.access_points, intervals)
+        tracks, smoothed = self.filter.step(state.coarse, intervals.t_s, intervals.present, found)
+        corrected = self.corrected_ranges(intervals, state.access_points, smoothed)
+        sigmas = torch.full_like(corrected, self.sigma_m)
+        solved = self.solver(corrected, state.access_points.double(), sigmas, intervals.heard)
+        return ChainState(state.access_points, tracks), solved
+
+    def corrected_ranges(self, intervals: Intervals, access_points: Tensor, coarse: Estimate) -> Tensor:
+        """Return ζ̂ of every link, shape (B, A), metres; devices without a coarse position keep ζ."""
+        corrected = intervals.ranges.double()
+        links = links_of(intervals, access_points)
+        seen = coarse.fixed[links.device]
+        device, starts = links.device[seen], links.access_points[seen]
+        if len(device) == 0:
+            return corrected
+        crops = self.crops.crop(self.plan, starts, coarse.positions[device].float())
+        ranges, rss = links.ranges[seen].float(), links.rss[seen].float()
+        estimated = self.network(crops.images, crops.lengths_px, ranges, rss)
+        chosen = intervals.heard & coarse.fixed[:, None]
+        return corrected.masked_scatter(chosen, estimated.double())
