@@ -77,7 +77,9 @@ def lap_rows(
     lap, repeats = drop_repeats(lap)
     dropped_sets |= {"repeated": repeats["repeated_sets"]}
     dropped_readings |= {"in_repeated_set": repeats["repeated_readings"]}
-    lap = _dropped(lap, in_order(lap.sets["t_ms"].to_numpy()), "time_stepped_back", dropped_sets, dropped_readings)
+    lap = _dropped(
+        lap, in_order(lap.sets["t_ms"].to_numpy()), "time_stepped_back", dropped_sets, dropped_readings
+    )
 
     readings, mended = mend_readings(_projected(lap, spec))
     dropped_readings |= {"range_from_100m": mended.pop("range_from_100m")}
@@ -155,12 +157,13 @@ def _rescaled(lap: Lap, raw: Path | None) -> tuple[Lap, str]:
     if duration_ms is None:
         return lap, "rows of 200 ms; the raw log's time is too coarse to rescale them by"
     rescaled = replace(lap, sets=lap.sets.assign(t_ms=rescale(t_ms, duration_ms)))
-    return rescaled, f"rows of 200 ms, rescaled by {duration_ms / (t_ms[-1] - t_ms[0]):.5f} to the raw log's duration"
+    return (
+        rescaled,
+        f"rows of 200 ms, rescaled by {duration_ms / (t_ms[-1] - t_ms[0]):.5f} to the raw log's duration",
+    )
 
 
-def _labelled(
-    lap: Lap, spec: SiteSpec, recording: RecordingSpec
-) -> tuple[Lap, NDArray[np.bool_], str]:
+def _labelled(lap: Lap, spec: SiteSpec, recording: RecordingSpec) -> tuple[Lap, NDArray[np.bool_], str]:
     """Add ``x_repaired_m`` and ``y_repaired_m`` to the sets; return also which sets belong to the lap."""
     published = lap.sets[["x_m", "y_m"]].to_numpy()
     labels = Labels(
@@ -210,7 +213,9 @@ def _projected(lap: Lap, spec: SiteSpec) -> pd.DataFrame:
         slant, plan = given, np.sqrt(np.maximum(given**2 - h**2, 0.0))
     else:
         slant, plan = np.where(given > 0, np.sqrt(given**2 + h**2), given), given
-    return lap.readings.assign(range_slant_m=slant, range_plan_m=plan).rename(columns={"std_m": "range_std_m"})
+    return lap.readings.assign(range_slant_m=slant, range_plan_m=plan).rename(
+        columns={"std_m": "range_std_m"}
+    )
 
 
 def _interval_table(lap: Lap, recording: RecordingSpec) -> pd.DataFrame:

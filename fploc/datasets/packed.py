@@ -148,9 +148,7 @@ def _site(info: dict[str, Any]) -> Site:
         name=info["name"],
         place=info["place"],
         access_points=tuple(
-            AccessPoint(
-                name=ap["name"], mac=ap["mac"], x_m=ap["x_m"], y_m=ap["y_m"], height_m=ap["height_m"]
-            )
+            AccessPoint(name=ap["name"], mac=ap["mac"], x_m=ap["x_m"], y_m=ap["y_m"], height_m=ap["height_m"])
             for ap in info["access_points"]
         ),
         device_height_m=info["device_height_m"],

@@ -30,7 +30,11 @@ def join_published(lap: Lap, long_table: pd.DataFrame, site: Site, lap_name: str
         {"at": rows["epoch"], "mac": rows["ap_number"].map(mac), "rss": rows["rss_dbm"].astype("int64")}
     )
     sets = pd.DataFrame(
-        {"at": lap.readings["set"], "mac": lap.readings["mac"], "rss": lap.readings["rss_dbm"].astype("int64")}
+        {
+            "at": lap.readings["set"],
+            "mac": lap.readings["mac"],
+            "rss": lap.readings["rss_dbm"].astype("int64"),
+        }
     )
     positions = rows.groupby("epoch")[["x_m", "y_m"]].first()
     left, right = _keyed(sets, "set"), _keyed(epochs, "epoch")

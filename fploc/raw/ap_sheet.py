@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import openpyxl
+from openpyxl.utils.exceptions import InvalidFileException
 
 from fploc.errors import BadFileError, MissingFileError
 from fploc.raw.tables import numbers, read_table, require_columns
@@ -72,9 +73,9 @@ def _read_csv(path: Path) -> ApSheet:
 def _read_workbook(path: Path) -> ApSheet:
     try:
         book = openpyxl.load_workbook(path, data_only=True, read_only=True)
-        rows = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
+        rows: list[list[object]] = [list(row) for row in book.worksheets[0].iter_rows(values_only=True)]
         book.close()
-    except (zipfile.BadZipFile, KeyError, ValueError, OSError, openpyxl.utils.exceptions.InvalidFileException) as error:
+    except (zipfile.BadZipFile, KeyError, ValueError, OSError, InvalidFileException) as error:
         raise BadFileError(
             path, "whole file", value=str(error), expected=f"a {_KIND} (xlsx)", way_out=_WAY_OUT
         ) from error
@@ -103,7 +104,10 @@ def _wide_form(header: list[str], rows: list[list[object]], path: Path) -> ApShe
         match = _POINT.fullmatch(_normal(cell))
         if match is None:
             raise BadFileError(
-                path, f"row 2, column {name}", value=repr(cell), expected='a point like "(0.495, 15.47)"',
+                path,
+                f"row 2, column {name}",
+                value=repr(cell),
+                expected='a point like "(0.495, 15.47)"',
                 way_out=_WAY_OUT,
             )
         points[name] = (float(match[1]), float(match[2]))

@@ -21,6 +21,12 @@ _QUANTITIES = {
     "rtt std": "std_m",
     "rss": "rss_dbm",
 }
+_PUBLIC_NAMES = {
+    "true distance": "True Distance (m)",
+    "rtt distance": "RTT Distance (m)",
+    "rtt std": "RTT std (m)",
+    "rss": "RSS (dBm)",
+}
 _TIME = re.compile(r"(M\d\s+)?Time Stamp \(ms\)", re.IGNORECASE)
 _LABEL = re.compile(r"(M\d\s+)?Ground Truth", re.IGNORECASE)
 _LABEL_X = re.compile(r"(M\d\s+)?Ground Truth[ _]x", re.IGNORECASE)
@@ -100,12 +106,10 @@ def _ap_columns(table: pd.DataFrame, path: Path) -> dict[int, dict[str, str]]:
             columns.setdefault(int(match[1]), {})[_QUANTITIES[match[2].lower()]] = name
     if not columns:
         require_columns(table, ["AP1 RTT Distance (m)"], path, kind=_KIND)
-    units = {"true distance": "True Distance (m)", "rtt distance": "RTT Distance (m)"}
-    units |= {"rtt std": "RTT std (m)", "rss": "RSS (dBm)"}
     for number, names in columns.items():
         for quantity, key in _QUANTITIES.items():
             if key not in names:
-                require_columns(table, [f"AP{number} {units[quantity]}"], path, kind=_KIND)
+                require_columns(table, [f"AP{number} {_PUBLIC_NAMES[quantity]}"], path, kind=_KIND)
     return dict(sorted(columns.items()))
 
 
@@ -157,4 +161,5 @@ def _labels(table: pd.DataFrame, path: Path) -> Floats:
             expected='two numbers like "[31.0, 13.75]"',
             way_out="fetch the file again, or correct it",
         )
-    return parts.to_numpy(dtype=np.float64)
+    positions: Floats = parts.to_numpy(dtype=np.float64)
+    return positions

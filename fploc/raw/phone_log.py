@@ -15,7 +15,9 @@ from fploc.sites.site import Site
 
 _KIND = "raw phone log"
 _NUMBER = r"-?\d+(?:\.\d+)?(?:[eE][+-]?\d+)?"
-_READING = rf"([0-9a-fA-F]{{2}}(?::[0-9a-fA-F]{{2}}){{5}})\s*,\s*({_NUMBER})\s*,\s*({_NUMBER})\s*,\s*({_NUMBER})"
+_READING = (
+    rf"([0-9a-fA-F]{{2}}(?::[0-9a-fA-F]{{2}}){{5}})\s*,\s*({_NUMBER})\s*,\s*({_NUMBER})\s*,\s*({_NUMBER})"
+)
 _BARE = _READING.replace("([0", "(?:[0").replace(f"({_NUMBER})", _NUMBER)
 _RESULT = re.compile(rf"\s*(?:{_BARE}(?:\s*,\s*{_BARE})*)?\s*")
 # The office logs of 2022 wrap the list in a second one: ['[b0:e4:…, -45]'].

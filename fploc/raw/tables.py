@@ -47,9 +47,7 @@ def read_table(path: Path, *, kind: str) -> pd.DataFrame:
     table.index = pd.RangeIndex(_FIRST_LINE, _FIRST_LINE + len(table))
     table = table.dropna(how="all")
     if table.empty:
-        raise BadFileError(
-            path, "whole file", value="no rows", expected=f"a {kind}", way_out=_FETCH_AGAIN
-        )
+        raise BadFileError(path, "whole file", value="no rows", expected=f"a {kind}", way_out=_FETCH_AGAIN)
     return table
 
 

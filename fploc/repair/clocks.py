@@ -22,7 +22,8 @@ def is_row_grid(t_ms: Floats) -> bool:
 
 def rescale(t_ms: Floats, duration_ms: float) -> Floats:
     """Return times (T,) of a row grid stretched to the duration that the phone's own log has."""
-    return (t_ms - t_ms[0]) * (duration_ms / (t_ms[-1] - t_ms[0]))
+    rescaled: Floats = (t_ms - t_ms[0]) * (duration_ms / (t_ms[-1] - t_ms[0]))
+    return rescaled
 
 
 def in_order(t_ms: Floats) -> NDArray[np.bool_]:

@@ -18,6 +18,9 @@ from fploc.sites.registry import RepairSpec
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
+# Labels on the top edge differ from its y by the rounding of the public files (1.5 mm at most).
+_EDGE_TOLERANCE_M = 0.002
+
 
 @dataclass(frozen=True, eq=False)
 class Labels:
@@ -45,7 +48,10 @@ def repair_labels(labels: Labels, repair: RepairSpec) -> Labels:
     """
     if repair.kind not in KINDS:
         raise UnknownNameError(
-            f"repair {repair.name}, kind", repair.kind, known=sorted(KINDS), way_out="correct it in the site file"
+            f"repair {repair.name}, kind",
+            repair.kind,
+            known=sorted(KINDS),
+            way_out="correct it in the site file",
         )
     function = KINDS[repair.kind]
     wanted = [name for name in inspect.signature(function).parameters if name != "labels"]
@@ -154,7 +160,9 @@ def corner_times(
         raise UnknownNameError(
             "recording in turns_s", labels.recording, known=sorted(turns_s), way_out="add it in the site file"
         )
-    path = np.vstack([np.reshape(start_m, (1, 2)), np.reshape(corners_m, (-1, 2)), np.reshape(start_m, (1, 2))])
+    path = np.vstack(
+        [np.reshape(start_m, (1, 2)), np.reshape(corners_m, (-1, 2)), np.reshape(start_m, (1, 2))]
+    )
     times = np.r_[0.0, np.asarray(turns_s[labels.recording], dtype=np.float64)]
     if len(times) != len(path):
         raise FplocError(
@@ -168,13 +176,8 @@ def corner_times(
 
 
 def _with(labels: Labels, positions_m: Floats) -> Labels:
-    return Labels(
-        recording=labels.recording, t_s=labels.t_s, positions_m=positions_m, keep=labels.keep
-    )
+    return Labels(recording=labels.recording, t_s=labels.t_s, positions_m=positions_m, keep=labels.keep)
 
-
-# Labels on the top edge differ from its y by the rounding of the public files (1.5 mm at most).
-_EDGE_TOLERANCE_M = 0.002
 
 KINDS: dict[str, Callable[..., Labels]] = {
     "moved-seam": moved_seam,

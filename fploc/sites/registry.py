@@ -252,7 +252,11 @@ def load_spec(name_or_path: str | Path) -> SiteSpec:
         document = yaml.load(contents, Loader=_Loader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise BadFileError(
-            path, "whole file", value=str(error).replace("\n", " "), expected="YAML", way_out="correct it there"
+            path,
+            "whole file",
+            value=str(error).replace("\n", " "),
+            expected="YAML",
+            way_out="correct it there",
         ) from error
     return _spec(_Section(path, "", document), hashlib.sha256(contents).hexdigest())
 
@@ -277,7 +281,9 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         keys = [key.value for key, _ in node.value]
         twice = sorted({key for key in keys if keys.count(key) > 1})
         if twice:
-            raise yaml.constructor.ConstructorError(None, None, f"key {twice[0]} stands twice", node.start_mark)
+            raise yaml.constructor.ConstructorError(
+                None, None, f"key {twice[0]} stands twice", node.start_mark
+            )
         return super().construct_mapping(node, deep)
 
 
@@ -294,7 +300,10 @@ class _Section:
     def error(self, key: str, *, value: object, expected: str) -> BadFileError:
         where = ".".join(part for part in (self._where, key) if part)
         return BadFileError(
-            self.path, f"key {where}" if where else "whole file", value=repr(value), expected=expected,
+            self.path,
+            f"key {where}" if where else "whole file",
+            value=repr(value),
+            expected=expected,
             way_out=_WAY_OUT,
         )
 
@@ -394,7 +403,9 @@ def _spec(top: _Section, sha256: str) -> SiteSpec:
     names = [ap.name for ap in site.access_points]
     faulty = top.names("true_distance_faults")
     if not set(faulty) <= set(names):
-        raise top.error("true_distance_faults", value=list(faulty), expected=f"names among {', '.join(names)}")
+        raise top.error(
+            "true_distance_faults", value=list(faulty), expected=f"names among {', '.join(names)}"
+        )
     long_table = top.optional_section("long_table")
     spec = SiteSpec(
         site=site,
@@ -424,7 +435,9 @@ def _site(top: _Section) -> Site:
     ):
         twice = [value for value in values if values.count(value) > 1]
         if twice:
-            raise top.error("access_points", value=f"the {label} {twice[0]} twice", expected=f"each {label} once")
+            raise top.error(
+                "access_points", value=f"the {label} {twice[0]} twice", expected=f"each {label} once"
+            )
     if not access_points:
         raise top.error("access_points", value="an empty list", expected="at least one access point")
     name = top.matching("name", _NAME, "lower-case letters, digits, dots and hyphens")
@@ -578,8 +591,6 @@ def _repair(name: str, section: _Section) -> RepairSpec:
 
 
 def _fault(section: _Section) -> FaultSpec:
-    fault = FaultSpec(
-        where=section.text("where"), what=section.text("what"), verdict=section.text("verdict")
-    )
+    fault = FaultSpec(where=section.text("where"), what=section.text("what"), verdict=section.text("verdict"))
     section.close()
     return fault
