@@ -24,3 +24,14 @@ def source() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return folder
+
+
+@pytest.fixture(scope="session")
+def data_root(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Data root with every registry site that the local copy holds, built once per test session."""
+    from fploc.datasets.build import build_sites
+    from fploc.sites.registry import known_sites
+
+    root = tmp_path_factory.mktemp("data-root")
+    build_sites(source, root, known_sites())
+    return root
