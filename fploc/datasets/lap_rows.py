@@ -18,7 +18,7 @@ from fploc.raw.lap import IMU_COLUMNS, Lap
 from fploc.raw.phone_log import read_duration_ms, read_phone_log
 from fploc.repair.clocks import in_order, is_row_grid, rescale
 from fploc.repair.labels import Labels, repair_labels
-from fploc.repair.readings import DROP_FROM_M, drop_repeats, keep_sets, mend_readings
+from fploc.repair.readings import DROP_FROM_M, WEAKEST_DBM, drop_repeats, keep_sets, mend_readings
 from fploc.schema import DEVICE_LINKS, INTERVALS, READINGS, Table
 from fploc.sites.registry import LinkSpec, RecordingSpec, SiteSpec
 
@@ -127,7 +127,7 @@ def link_rows(link: LinkSpec, path: Path) -> tuple[pd.DataFrame, LinkCounts]:
             "t_ms": log["t_ms"],
             "range_m": np.where(range_m > 0, range_m, np.nan),
             "range_std_m": np.where(range_m > 0, log["std_m"], np.nan),
-            "rss_dbm": np.where(rss < 0, rss, np.nan),
+            "rss_dbm": np.where((rss >= WEAKEST_DBM) & (rss < 0), rss, np.nan),
         }
     )[kept]
     counts = LinkCounts(

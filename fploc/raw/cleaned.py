@@ -44,8 +44,8 @@ def read_cleaned(path: Path, site: Site, *, numbering: str = "auto") -> Lap:
         path: The file.
         site: Its access points.
         numbering: ``names``: the columns AP5 belong to the access point of that name. ``compact``: the
-            columns APk belong to the k-th of the site. ``auto``: ``names`` where the file has a column for
-            every name, else ``compact`` where it has as many as the site.
+            columns APk belong to the k-th of the site. ``auto``: ``names`` where the file has columns for
+            every name and all others are empty, else ``compact`` under the same condition.
 
     Raises:
         MissingFileError: If there is no such file.
@@ -53,21 +53,15 @@ def read_cleaned(path: Path, site: Site, *, numbering: str = "auto") -> Lap:
     """
     table = read_table(path, kind=_KIND)
     columns = _ap_columns(table, path)
-    macs = _macs(columns, site, numbering, path)
     values = {
         number: {key: numbers(table, name, path) for key, name in names.items()}
         for number, names in columns.items()
     }
-    for number, mac in macs.items():
-        if mac is None and any(values[number][key].any() for key in ("range_m", "rss_dbm")):
-            raise BadFileError(
-                path,
-                f"columns of AP{number}",
-                value="readings",
-                expected=f"only the site's {', '.join(ap.name for ap in site.access_points)}",
-                way_out="add that access point to the site file, or correct `numbering`",
-            )
-    used = [(number, mac) for number, mac in macs.items() if mac is not None]
+    empty = {
+        number for number, of_ap in values.items() if not (of_ap["range_m"].any() or of_ap["rss_dbm"].any())
+    }
+    macs = _macs(list(columns), empty, site, numbering, path)
+    used = list(macs.items())
     rows = len(table)
     readings = pd.DataFrame(
         {
@@ -113,24 +107,27 @@ def _ap_columns(table: pd.DataFrame, path: Path) -> dict[int, dict[str, str]]:
     return dict(sorted(columns.items()))
 
 
-def _macs(
-    columns: dict[int, dict[str, str]], site: Site, numbering: str, path: Path
-) -> dict[int, str | None]:
-    """Return the MAC of each AP number of the file; None where the site has no such access point."""
+def _macs(columns: list[int], empty: set[int], site: Site, numbering: str, path: Path) -> dict[int, str]:
+    """Return the MAC of each AP number of the file; numbers without one have no readings."""
     by_name = {ap.name.upper(): ap.mac for ap in site.access_points}
-    names = {number: by_name.get(f"AP{number}") for number in columns}
-    compact = dict(zip(columns, site.macs, strict=False))
-    has_all_names = set(by_name.values()) <= set(names.values())
-    fits_compact = list(columns) == list(range(1, len(site.macs) + 1))
-    if numbering == "names" or (numbering == "auto" and has_all_names):
-        return names
-    if fits_compact:
-        return dict(compact)
+    candidates = {
+        "names": {number: by_name[f"AP{number}"] for number in columns if f"AP{number}" in by_name},
+        "compact": dict(zip(range(1, len(site.macs) + 1), site.macs, strict=True)),
+    }
+    for name, macs in candidates.items():
+        complete = len(macs) == len(site.macs) and set(macs) <= set(columns)
+        if numbering in (name, "auto") and complete and set(columns) - set(macs) <= empty:
+            return macs
+    used = ", ".join(f"AP{number}" for number in columns if number not in empty)
     raise BadFileError(
         path,
         "header",
-        value=f"columns of {', '.join(f'AP{number}' for number in columns)}",
-        expected=f"columns of {', '.join(by_name)}, or of AP1 to AP{len(site.macs)}",
+        value=f"columns {', '.join(f'AP{number}' for number in columns)}, with readings in {used or 'none'}",
+        expected={
+            "names": f"{', '.join(by_name)}",
+            "compact": f"AP1 to AP{len(site.macs)}",
+            "auto": f"{', '.join(by_name)}, or AP1 to AP{len(site.macs)}",
+        }[numbering],
         way_out="check that the file belongs to this site, or correct `numbering` in the site file",
     )
 

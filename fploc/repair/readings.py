@@ -14,6 +14,8 @@ from fploc.raw.lap import Lap
 DROP_FROM_M = 100.0
 # Ranges beyond this are kept and flagged.
 FAR_BEYOND_M = 60.0
+# Android reports -127 dBm where it does not know.
+WEAKEST_DBM = -120.0
 
 Counts = dict[str, int]
 
@@ -58,10 +60,11 @@ def mend_readings(readings: pd.DataFrame) -> tuple[pd.DataFrame, Counts]:
     Returns:
         The readings of access points that were heard, with ``is_far``; and the counts ``range_from_100m``
         (readings dropped), ``range_missing`` (heard without a range; null), ``range_negative`` (of these,
-        given as negative), ``rss_missing`` (null), ``far_beyond_60m`` (kept, flagged).
+        given as negative), ``rss_missing`` (0 or no level; null), ``far_beyond_60m`` (kept, flagged).
     """
     slant, rss = readings["range_slant_m"].to_numpy(), readings["rss_dbm"].to_numpy()
-    has_range, has_rss = slant > 0, ~np.isnan(rss) & (rss != 0)
+    std = readings["range_std_m"].to_numpy()
+    has_range, has_rss = slant > 0, (rss >= WEAKEST_DBM) & (rss < 0)
     negative = slant < 0
     heard = has_range | has_rss | negative
     outlier = has_range & (slant >= DROP_FROM_M)
@@ -70,7 +73,7 @@ def mend_readings(readings: pd.DataFrame) -> tuple[pd.DataFrame, Counts]:
     mended = readings.assign(
         range_slant_m=np.where(has_range, slant, np.nan),
         range_plan_m=np.where(has_range, readings["range_plan_m"], np.nan),
-        range_std_m=np.where(has_range, readings["range_std_m"], np.nan),
+        range_std_m=np.where(has_range & (std >= 0), std, np.nan),
         rss_dbm=np.where(has_rss, rss, np.nan),
         is_far=has_range & far,
     )[kept]
