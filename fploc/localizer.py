@@ -42,6 +42,13 @@ def plan_ranges(slant_m: Tensor, height_differences_m: Tensor) -> Tensor:
     return (slant_m.clamp(min=0.0).square() - height_differences_m.square()).clamp(min=0.0).sqrt()
 
 
+def calibrated_plan_ranges(recording: Recording, site: Site, offsets: RangeOffsets) -> NDArray[np.float64]:
+    """Return a recording's ranges in the plan without their offset, shape (T, A), metres; 0 where not heard."""
+    calibrated = torch.from_numpy(offsets.apply(recording.slant_m, site.macs))
+    in_plan = plan_ranges(calibrated, torch.from_numpy(site.height_differences_m)).numpy()
+    return np.where(recording.heard, in_plan, 0.0)
+
+
 @dataclass(frozen=True)
 class Path:
     """Positions of one recording.
@@ -61,7 +68,8 @@ class Path:
     @property
     def fixed(self) -> NDArray[np.bool_]:
         """True where there is a position, shape (T,)."""
-        return self.reasons == NoFix.FIXED
+        fixed: NDArray[np.bool_] = self.reasons == NoFix.FIXED
+        return fixed
 
 
 @dataclass(frozen=True)
@@ -245,9 +253,9 @@ def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:
         chunk = _rows(flat, slice(start, start + ROWS_AT_ONCE))
         found.append(localizer.locate(localizer.init(len(chunk.t_s)), chunk)[1])
     return Estimate(
-        positions=torch.cat([one.positions for one in found]).unflatten(0, (steps, devices)),
-        covariances=torch.cat([one.covariances for one in found]).unflatten(0, (steps, devices)),
-        reasons=torch.cat([one.reasons for one in found]).unflatten(0, (steps, devices)),
+        positions=torch.cat([one.positions for one in found]).reshape(steps, devices, 2),
+        covariances=torch.cat([one.covariances for one in found]).reshape(steps, devices, 2, 2),
+        reasons=torch.cat([one.reasons for one in found]).reshape(steps, devices),
     )
 
 

@@ -34,7 +34,7 @@ class RangeSolver(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass
 class OneShotMethod:
     """A range solver as a method. Its state is the access points' positions, shape (A, 2), metres.
 

@@ -1,10 +1,11 @@
 """Nonlinear least squares on ranges: min Σ ρ((|x − p_i| − d_i)/σ_i) (Guvenc, Chong, Watanabe, VTC 2007).
 
 Reading of the source: damped Newton steps with the 2 × 2 systems in closed form, a fixed number of them, and
-several starts, of which the one with the least cost wins. Departure: beside the centroid of the access points
+several starts. Departure: beside the centroid of the access points
 heard, the starts are the best points of the four quarters of the smallest range circle and the mirror image
-of the best of them in the main axis of the access points, where the second minimum lies. They reach the global
-minimum without the previous fix, so that an interval is solved alone; further starts can still be handed in.
+of the best of them in the main axis of the access points, where the second minimum lies. On the mall and the
+laboratory they reach the global minimum of every interval tried, without the previous fix, so that an interval
+is solved alone; further starts can still be handed in. The centroid's minimum is preferred (``advantage``).
 
 Axes: B intervals, A access points, S starts.
 """
@@ -114,12 +115,13 @@ def default_starts(ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard:
     """
     radius, nearest = torch.where(heard, ranges, torch.inf).min(-1)
     radius = torch.where(torch.isfinite(radius), radius, 0.0)
-    angles = torch.arange(CIRCLE_POINTS, dtype=ranges.dtype, device=ranges.device) * (2 * torch.pi / CIRCLE_POINTS)
+    points = torch.arange(CIRCLE_POINTS, device=ranges.device)
+    angles = points.to(ranges.dtype) * (2 * torch.pi / CIRCLE_POINTS)
     directions = torch.stack([angles.cos(), angles.sin()], -1)
     circle = access_points[nearest][:, None, :] + radius[:, None, None] * directions
     costs = _Ranges(ranges, access_points, sigmas, heard, SquaredLoss()).cost(circle)
-    quarters = costs.unflatten(-1, (QUARTERS, CIRCLE_POINTS // QUARTERS))
-    chosen = quarters.argmin(-1) + torch.arange(0, CIRCLE_POINTS, CIRCLE_POINTS // QUARTERS, device=circle.device)
+    quarters = costs.reshape(-1, QUARTERS, CIRCLE_POINTS // QUARTERS)
+    chosen = quarters.argmin(-1) + points[:: CIRCLE_POINTS // QUARTERS]
     rows = torch.arange(len(circle), device=circle.device)
     best = circle[rows, costs.argmin(-1)]
     single = torch.stack([centroids(access_points, heard), mirrored(best, access_points, heard)], dim=1)

@@ -63,8 +63,7 @@ def solve_trilateration(
     three = torch.zeros_like(heard).scatter(1, chosen, True) & heard
     guards = LinearSettings(smallest_spread_ratio=0.0, reach_m=settings.reach_m)
     solved = solve_linear(ranges, access_points, sigmas, three, reference=order[:, 0], settings=guards)
-    reasons = torch.where(solved.fixed | (three.sum(-1) < FEWEST_RANGES), reasons_for(heard, is_regular), solved.reasons)
-    return estimate(solved.positions, solved.covariances, reasons)
+    return estimate(solved.positions, solved.covariances, reasons_for(heard, is_regular & solved.fixed))
 
 
 def _choose(

@@ -1,0 +1,155 @@
+"""Scores of a path against ground truth, as design §6 counts them.
+
+Only intervals from the first fix on are scored; those before it are counted apart. Where an interval has no fix
+the last one is held, except for the metrics that say "fixed" and for those of the stated region. Intervals
+without a label are left out. Metrics of several recordings are averaged over the recordings, each with the same
+weight; counts are added up.
+
+Axes: T intervals of one recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fploc.localizer import Path
+
+Floats = NDArray[np.float64]
+
+REGION_95 = 5.991464547107979
+"""95 % quantile of χ² with two degrees of freedom."""
+COUNTS = ("n", "n_before_first_fix")
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Scores of one recording, or of several together; NaN where there is nothing to score.
+
+    Args:
+        n: Labelled intervals from the first fix on.
+        n_before_first_fix: Labelled intervals before it; all of them where there is no fix.
+        no_fix_share: Share of the n intervals without a fix of their own.
+        rmse_m: Root mean square error, last fix held, metres.
+        rmse_fixed_m: Root mean square error over intervals with a fix of their own, metres.
+        mae_m: Mean error, last fix held, metres.
+        p50_m: Median error, last fix held, metres.
+        p90_m: 90 % of errors are below it, last fix held, metres.
+        p95_m: 95 % of errors are below it, last fix held, metres.
+        coverage95: Share of fixes whose stated 95 % region holds the truth.
+        nees: Mean of eᵀP⁻¹e over fixes: 2 for honest covariances.
+    """
+
+    n: int
+    n_before_first_fix: int
+    no_fix_share: float
+    rmse_m: float
+    rmse_fixed_m: float
+    mae_m: float
+    p50_m: float
+    p90_m: float
+    p95_m: float
+    coverage95: float
+    nees: float
+
+
+def held_positions(path: Path) -> Floats:
+    """Return positions with the last fix held, shape (T, 2), metres; NaN before the first fix."""
+    index = np.where(path.fixed, np.arange(len(path.fixed)), -1)
+    last = np.maximum.accumulate(index)
+    return np.where(last[:, None] >= 0, path.positions_m[last], np.nan)
+
+
+def held_errors_m(path: Path, labels_m: Floats) -> Floats:
+    """Return the errors that are scored, shape (n,), metres: labelled intervals from the first fix on.
+
+    Args:
+        path: Of one recording.
+        labels_m: Ground truth, shape (T, 2), metres, site frame; NaN where there is none.
+    """
+    errors: Floats = np.linalg.norm(held_positions(path) - labels_m, axis=1)
+    return errors[np.isfinite(errors)]
+
+
+def normalised_errors(path: Path, labels_m: Floats) -> Floats:
+    """Return eᵀP⁻¹e of every labelled fix, shape (n,).
+
+    Args:
+        path: Of one recording.
+        labels_m: Ground truth, shape (T, 2), metres, site frame; NaN where there is none.
+    """
+    at = path.fixed & np.isfinite(labels_m).all(axis=1)
+    errors = (path.positions_m - labels_m)[at]
+    scaled = np.linalg.solve(path.covariances_m2[at], errors[..., None])[..., 0]
+    return np.asarray((errors * scaled).sum(axis=1))
+
+
+def score(path: Path, labels_m: Floats) -> Scores:
+    """Score one recording.
+
+    Args:
+        path: Of the recording.
+        labels_m: Ground truth, shape (T, 2), metres, site frame; NaN where there is none.
+    """
+    labelled = np.isfinite(labels_m).all(axis=1)
+    held = held_errors_m(path, labels_m)
+    own = np.linalg.norm(path.positions_m - labels_m, axis=1)[path.fixed & labelled]
+    normalised = normalised_errors(path, labels_m)
+    p50, p90, p95 = np.quantile(held, (0.5, 0.9, 0.95)) if held.size else (np.nan,) * 3
+    return Scores(
+        n=held.size,
+        n_before_first_fix=int(labelled.sum()) - held.size,
+        no_fix_share=1.0 - own.size / held.size if held.size else np.nan,
+        rmse_m=_root_mean_square(held),
+        rmse_fixed_m=_root_mean_square(own),
+        mae_m=_mean(held),
+        p50_m=float(p50),
+        p90_m=float(p90),
+        p95_m=float(p95),
+        coverage95=_mean((normalised <= REGION_95).astype(np.float64)),
+        nees=_mean(normalised),
+    )
+
+
+def mean_over_recordings(scores: Sequence[Scores], weights: Sequence[float] | None = None) -> Scores:
+    """Return the mean of every metric over recordings; counts are added up.
+
+    Args:
+        scores: Of single recordings. One without any fix has no metrics and counts only in
+            ``n_before_first_fix``.
+        weights: Of each recording, for example ``arc_length_m``; None for equal ones.
+    """
+    chosen = np.ones(len(scores)) if weights is None else np.asarray(weights, dtype=np.float64)
+
+    def mean(name: str) -> float:
+        values = np.array([getattr(one, name) for one in scores], dtype=np.float64)
+        there = np.isfinite(values)
+        return float(np.average(values[there], weights=chosen[there])) if there.any() else np.nan
+
+    metrics = {one.name: mean(one.name) for one in fields(Scores) if one.name not in COUNTS}
+    return Scores(
+        n=sum(one.n for one in scores),
+        n_before_first_fix=sum(one.n_before_first_fix for one in scores),
+        **metrics,
+    )
+
+
+def arc_length_m(labels_m: Floats) -> float:
+    """Return the length of a labelled path, metres; intervals without a label are skipped.
+
+    Args:
+        labels_m: Ground truth, shape (T, 2), metres, site frame.
+    """
+    there = labels_m[np.isfinite(labels_m).all(axis=1)]
+    return float(np.linalg.norm(np.diff(there, axis=0), axis=1).sum())
+
+
+def _mean(values: Floats) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
+def _root_mean_square(values: Floats) -> float:
+    return float(np.sqrt(_mean(values**2)))
