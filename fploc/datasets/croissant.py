@@ -28,6 +28,7 @@ _OTHER_FILES = {
     "splits.json": ("application/json", "which recordings each protocol learns from and tests on"),
     "manifest.json": ("application/json", "hashes of all sources, counts of dropped and masked readings"),
     "plan.png": ("image/png", "the floor plan, georeferenced in site.json"),
+    "walls.png": ("image/png", "its walls (0 wall, 255 free), in the same frame"),
 }
 _DATA_TYPES = {
     "int8": "cr:Int8",

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from fploc.datasets.build import build_sites
 from fploc.datasets.croissant import CITATION, FILE_NAME, validate_croissant, write_croissant
 from fploc.errors import BadFileError, MissingFileError
 from fploc.schema import TABLES, Table
@@ -63,6 +65,19 @@ def test_records_are_the_rows_of_the_tables(folder: Path, table: Table) -> None:
             assert [value.decode() for value in found] == expected[column.name].tolist()
         else:
             np.testing.assert_array_equal(np.array(found, float), expected[column.name].to_numpy(float))
+
+
+def test_a_built_site_is_read_offline_by_mlcroissant(source: Path, tmp_path: Path) -> None:
+    import mlcroissant
+
+    (report,) = build_sites(source, tmp_path, ["laboratory"])
+    validate_croissant(report.folder)
+    records = mlcroissant.Dataset(jsonld=report.folder / FILE_NAME).records("intervals")
+    expected = pd.read_parquet(report.folder / "intervals.parquet")
+    for record, row in zip(islice(records, 200), expected.itertuples(), strict=False):
+        assert record["intervals/recording"].decode() == row.recording
+        assert record["intervals/t_ms"] == row.t_ms
+        assert record["intervals/x_repaired_m"] == row.x_repaired_m
 
 
 def test_files_carry_their_hash_and_only_present_ones_are_named(folder: Path) -> None:
