@@ -24,7 +24,9 @@ _SAMPLES_AT_ONCE = 1 << 20
 # Links are sampled every half pixel: no wall of one pixel is stepped over, not even at a corner's edge.
 _STEP_PX = 0.5
 # A seed (an access point hangs on a wall) stands for free cells no farther than this from it.
-_SEED_REACH_M = 1.0
+_SEED_REACH_M = 1.5
+# Nothing of this width gets into a building: doors, gates and gaps of a drawing are narrower.
+_WIDEST_ENTRANCE_M = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +139,11 @@ def free_space(
 ) -> Mask:
     """Return the cells that a walker can reach, shape (H, W).
 
-    Cells at least ``clearance_m`` from every wall, connected to the surroundings of the access points,
-    inside their bounding box widened by ``margin_m``. Cells connected to the edge of the plan are
-    outdoors; they count only where no access point has indoor cells near it (the building is not
-    enclosed in the drawing).
+    Cells at least ``clearance_m`` from every wall, connected to the cell nearest to some access point,
+    indoors, inside the access points' bounding box widened by ``margin_m``. Outdoors is what something
+    3 m wide can reach from beyond the plan: entrances and gaps of the drawing are narrower. Where most
+    access points stand outdoors by that rule (the drawing does not enclose the building, or the plan
+    cuts through it), outdoors counts as well, as far as the bounding box goes.
 
     Args:
         plan: The plan.
@@ -152,16 +155,15 @@ def free_space(
         FplocError: If no cell is free near any seed.
     """
     seeds = np.asarray(seeds_m, dtype=np.float64).reshape(-1, 2)
-    scale = plan.georeference.pixels_per_metre
-    # The nearest wall pixel's centre is half a pixel behind the wall's face.
-    distance_px = cv2.distanceTransform((~plan.walls).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    clear = np.asarray(distance_px) - 0.5 >= clearance_m * scale
-    labels = cv2.connectedComponents(clear.astype(np.uint8), connectivity=4)[1]
-    regions = np.asarray(labels, dtype=np.int32)
-    edge = np.concatenate([regions[0], regions[-1], regions[:, 0], regions[:, -1]])
-    near = _regions_near(seeds, regions, plan.georeference)
-    indoors = np.setdiff1d(near, edge)
-    wanted = indoors if indoors.size else near
+    distance_m = _distance_from(plan.walls, plan.georeference)
+    clear = distance_m >= clearance_m
+    outdoors = _outdoors(plan)
+    # 0 wall or too close to one, 1 indoors, 2 outdoors: what the free cell nearest to each seed is.
+    kinds = _nearest_values(seeds, np.where(clear, 1 + outdoors.astype(np.int32), 0), plan.georeference)
+    enclosed = np.count_nonzero(kinds == 1) >= np.count_nonzero(kinds == 2)
+    cells = clear & ~outdoors if enclosed else clear
+    regions = np.asarray(cv2.connectedComponents(cells.astype(np.uint8), connectivity=4)[1], dtype=np.int32)
+    wanted = np.setdiff1d(_nearest_values(seeds, regions, plan.georeference), [0])
     if not wanted.size:
         raise FplocError(
             f"free space of the plan {plan.name}",
@@ -169,7 +171,8 @@ def free_space(
             expected="access points beside floor that can be walked on",
             way_out="check the georeference and the walls, or ask for less clearance",
         )
-    cells_m = _cell_centres(plan)
+    height, width = plan.walls.shape
+    cells_m = plan.georeference.to_metres(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1))
     low, high = seeds.min(axis=0) - margin_m, seeds.max(axis=0) + margin_m
     in_box = ((cells_m >= low) & (cells_m <= high)).all(axis=-1)
     reachable: Mask = np.isin(regions, wanted) & in_box
@@ -268,20 +271,41 @@ def _sampled(plan: FloorPlan, starts: Floats, ends: Floats) -> Iterator[tuple[ND
         yield links, padded[row * (width + 2) + column], index < number
 
 
-def _cell_centres(plan: FloorPlan) -> Floats:
-    """Return the centre of every cell, shape (H, W, 2), metres."""
-    height, width = plan.walls.shape
-    return plan.georeference.to_metres(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1))
+def _distance_from(cells: Mask, georeference: Georeference) -> Floats:
+    """Return the distance of every cell's centre from the face of the nearest of ``cells``, metres."""
+    distance_px = cv2.distanceTransform((~cells).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # The nearest cell's centre is half a pixel behind its face.
+    return (np.asarray(distance_px, dtype=np.float64) - 0.5) / georeference.pixels_per_metre
 
 
-def _regions_near(seeds: Floats, regions: NDArray[np.int32], georeference: Georeference) -> NDArray[np.int32]:
-    """Return the labels of all regions that have a cell near one of the seeds."""
-    height, width = regions.shape
+def _outdoors(plan: FloorPlan) -> Mask:
+    """Return what a disc as wide as ``_WIDEST_ENTRANCE_M`` can cover coming from beyond the plan."""
+    radius_m = _WIDEST_ENTRANCE_M / 2
+    # Free ground all round the plan, wide enough for the disc.
+    around = int(np.ceil(_WIDEST_ENTRANCE_M * plan.georeference.pixels_per_metre)) + 1
+    walls: Mask = np.pad(plan.walls, around)
+    centres = _distance_from(walls, plan.georeference) >= radius_m
+    regions = cv2.connectedComponents(centres.astype(np.uint8), connectivity=4)[1]
+    labels = np.asarray(regions, dtype=np.int32)
+    beyond: Mask = labels == labels[0, 0]
+    to_beyond = _distance_from(beyond, plan.georeference)[around:-around, around:-around]
+    covered: Mask = to_beyond < radius_m
+    return covered
+
+
+def _nearest_values(
+    seeds: Floats, values: NDArray[np.int32], georeference: Georeference
+) -> NDArray[np.int32]:
+    """Return the value of the nearest cell that is not 0 to each seed, shape (A,); 0 where none is near."""
+    height, width = values.shape
     reach_px = _SEED_REACH_M * georeference.pixels_per_metre
     span = np.arange(-int(reach_px), int(reach_px) + 1)
     offsets = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
-    offsets = offsets[np.linalg.norm(offsets, axis=1) <= reach_px]
-    cells = np.round(georeference.to_pixels(seeds)).astype(np.int64)[:, None] + offsets
-    cells = cells[((cells >= 0) & (cells < [width, height])).all(axis=-1)]
-    labels = np.unique(regions[cells[:, 1], cells[:, 0]])
-    return labels[labels > 0]
+    distance = np.linalg.norm(offsets, axis=1)
+    offsets = offsets[np.argsort(distance, kind="stable")][: np.count_nonzero(distance <= reach_px)]
+    places = np.round(georeference.to_pixels(seeds)).astype(np.int64)[:, None] + offsets
+    inside = np.asarray(((places >= 0) & (places < [width, height])).all(axis=-1), dtype=np.bool_)
+    column, row = np.where(inside[..., None], places, 0).transpose(2, 0, 1)
+    found = np.where(inside, values[row, column], 0)
+    nearest: NDArray[np.int32] = found[np.arange(len(found)), (found != 0).argmax(axis=1)]
+    return nearest

@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fploc.errors import BadFileError, MissingFileError
+from fploc.floorplan.georeference import Georeference
+from fploc.floorplan.plan import FloorPlan, read_floor_plan, read_grey_image, write_grey_image
+
+GEOREFERENCE = Georeference.of_raster((0.0, 2.0), 0.05)
+
+
+def test_written_and_read_again(tmp_path: Path) -> None:
+    grey = np.random.default_rng(0).integers(0, 256, size=(40, 60), dtype=np.uint8)
+    plan = FloorPlan("drawn", grey, grey < 200, GEOREFERENCE)
+    plan.write(tmp_path / "plan.png", tmp_path / "walls.png")
+    again = read_floor_plan(tmp_path / "plan.png", tmp_path / "walls.png", GEOREFERENCE, "drawn")
+    np.testing.assert_array_equal(again.grey, plan.grey)
+    np.testing.assert_array_equal(again.walls, plan.walls)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.png", "walls.png"]
+
+
+@pytest.mark.parametrize("contents", [b"", b"x,y\n1,2\n", b"\x89PNG\r\n\x1a\n truncated"])
+def test_plan_that_is_no_image(tmp_path: Path, contents: bytes) -> None:
+    path = tmp_path / "plan.png"
+    path.write_bytes(contents)
+    with pytest.raises(BadFileError, match=r"plan\.png.*PNG or JPEG"):
+        read_grey_image(path)
+
+
+def test_missing_plan(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match=r"plan\.png"):
+        read_grey_image(tmp_path / "plan.png")
+
+
+def test_rasters_of_two_sizes(tmp_path: Path) -> None:
+    write_grey_image(tmp_path / "plan.png", np.zeros((4, 5), np.uint8))
+    write_grey_image(tmp_path / "walls.png", np.zeros((4, 6), np.uint8))
+    with pytest.raises(BadFileError, match=r"walls\.png.*6 x 4.*5 x 4"):
+        read_floor_plan(tmp_path / "plan.png", tmp_path / "walls.png", GEOREFERENCE, "drawn")
+
+
+def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full_disk(self: Path, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    with pytest.raises(OSError, match="No space"):
+        write_grey_image(tmp_path / "plan.png", np.zeros((4, 5), np.uint8))
+    assert list(tmp_path.iterdir()) == []
