@@ -1,12 +1,16 @@
-"""Progress bars with time left: on stderr, and only where that is a terminal."""
+"""What a person sees in a terminal: progress bars with time left (stderr), tables (stdout)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+WIDE = 200
 
 Item = TypeVar("Item")
 
@@ -27,3 +31,16 @@ def track(items: Sequence[Item], description: str) -> Iterator[Item]:
 def is_shown() -> bool:
     """Return whether progress is shown: stderr is a terminal."""
     return Console(stderr=True).is_terminal
+
+
+def print_table(rows: Sequence[Mapping[str, str]]) -> None:
+    """Print rows of equal keys as a table on stdout, as wide as it needs to be where that is no terminal."""
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=WIDE)
+    table = Table(box=SIMPLE_HEAD)
+    for name in rows[0] if rows else ():
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*row.values())
+    console.print(table)

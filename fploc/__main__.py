@@ -1,0 +1,5 @@
+"""``python -m fploc`` is the command ``fploc``."""
+
+from fploc.cli import main
+
+raise SystemExit(main())

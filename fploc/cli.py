@@ -1,0 +1,318 @@
+"""The command ``fploc``. Everything heavy is imported by the sub-command that needs it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jsonargparse import ActionConfigFile, ArgumentParser, Namespace
+
+from fploc.errors import FplocError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+DATA_VARIABLE = "FPLOC_DATA"
+DATA_COMMANDS = {
+    "download": "Fetch the public files that the sites need. Example: fploc data download --sites office",
+    "verify": "Check files against their hashes. Example: fploc data verify --from DIR",
+    "build": "Pack sites. Example: fploc data build --from DIR --sites office,laboratory",
+    "describe": "Count what packed sites hold, draw them. Example: fploc data describe --out overlays",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0, 2 for bad input, 130 when interrupted."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        if words[:1] == ["fit"]:
+            return _fit(words[1:])
+        options = make_parser().parse_args(words)
+        return _runner(options)
+    except FplocError as error:
+        return _fail(str(error), BAD_INPUT)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        return _fail(f"{error.filename}: no space is left on the disk; free some and run again", BAD_INPUT)
+    except KeyboardInterrupt:
+        return _fail("interrupted; the next call goes on from the last finished step", INTERRUPTED)
+
+
+def make_parser() -> ArgumentParser:
+    """Return the parser of every sub-command but ``fit``, which is Lightning's own."""
+    parser = ArgumentParser(
+        prog="fploc",
+        description="Indoor localization from WiFi round-trip time and a floor plan.",
+        version=_version(),
+    )
+    commands = parser.add_subcommands(required=True, dest="command")
+    data = ArgumentParser(description="The public data set: fetch, check, pack and describe it.")
+    commands.add_subcommand("data", data, help="Fetch, check, pack and describe the public data set.")
+    data_commands = data.add_subcommands(required=True, dest="data_command")
+    for name, text in DATA_COMMANDS.items():
+        data_commands.add_subcommand(name, _data_parser(name, text), help=text.split(". ")[0] + ".")
+    commands.add_subcommand("made-up", _made_up_parser(), help="Write a made-up building and its recordings.")
+    commands.add_subcommand("fit", ArgumentParser(), help="Train one network (LightningCLI).")
+    commands.add_subcommand("evaluate", _evaluate_parser(), help="Score a method on a packed site.")
+    commands.add_subcommand(
+        "reproduce", _reproduce_parser(), help="Get data, train, evaluate, tabulate: `make reproduce`."
+    )
+    return parser
+
+
+def _data_parser(name: str, text: str) -> ArgumentParser:
+    parser = ArgumentParser(description=text)
+    parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
+    _add_data_options(parser)
+    if name == "describe":
+        parser.add_argument("--out", type=Path, default=Path("runs/overlays"), help="Folder of the pictures.")
+    parser.add_argument("--json", action="store_true", help="Print JSON instead of a table.")
+    return parser
+
+
+def _add_data_options(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--from",
+        type=Path | None,
+        dest="source",
+        default=None,
+        help="Local copy of the public files, laid out <revision>/<path>. Default: FPLOC_SOURCE.",
+    )
+    _add_data_root(parser)
+    parser.add_argument(
+        "--sites", type=str, default="", help="Names, separated by commas, or site files. Default: all."
+    )
+
+
+def _add_data_root(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--data-root",
+        type=Path,
+        default=Path(os.environ.get(DATA_VARIABLE, "data")),
+        help="Folder of the data. Default: FPLOC_DATA, else ./data.",
+    )
+
+
+def _made_up_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Write a seeded made-up building: plan, access points and phone logs, as the phone "
+        "logger writes them. Example: fploc made-up --seed 7 --out building"
+    )
+    parser.add_argument("--seed", type=int, required=True, help="One seed, one building.")
+    parser.add_argument("--out", type=Path, required=True, help="Folder to write.")
+    return parser
+
+
+def _evaluate_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Score a method. Example: fploc evaluate --method nls --protocol zero-shot "
+        "--site shopping-mall --device 1 --json -"
+    )
+    parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
+    parser.add_argument("--method", type=str, required=True, help="Name of the method.")
+    parser.add_argument("--protocol", type=str, default="zero-shot", help="What it may have learned from.")
+    parser.add_argument("--site", type=str, required=True, help="Packed site to score on.")
+    parser.add_argument("--device", type=str, default="all", help="1, 2 or all.")
+    parser.add_argument(
+        "--calibration", type=str | None, default=None, help="none, source-los, … or metres."
+    )
+    parser.add_argument("--labels", type=str, default="both", help="published, repaired or both.")
+    parser.add_argument("--plan", type=str, default="real", help="real, blank or the name of another site.")
+    parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")
+    parser.add_argument("--thin", type=int, default=1, help="Keep every so many-th interval.")
+    parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")
+    parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
+    _add_data_root(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of trained artifacts.")
+    parser.add_argument("--json", type=str, default="", help="File to write records to; - prints them.")
+    return parser
+
+
+def _reproduce_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Get data, build, train, evaluate, tabulate. Resumes where it was interrupted. "
+        "Example: fploc reproduce --preset smoke"
+    )
+    parser.add_argument("--preset", type=str, default="default", help="smoke, default, full or paper.")
+    _add_data_options(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of everything written.")
+    return parser
+
+
+def _runner(options: Namespace) -> int:
+    runners: Mapping[str, Callable[[Namespace], None]] = {
+        "data": _run_data,
+        "made-up": _run_made_up,
+        "evaluate": _run_evaluate,
+        "reproduce": _run_reproduce,
+    }
+    runners[options.command](options[options.command])
+    return 0
+
+
+def _run_data(options: Namespace) -> None:
+    runners: Mapping[str, Callable[[Namespace], None]] = {
+        "download": _run_download,
+        "verify": _run_verify,
+        "build": _run_build,
+        "describe": _run_describe,
+    }
+    runners[options.data_command](options[options.data_command])
+
+
+def _run_download(options: Namespace) -> None:
+    from fploc.datasets.download import resolve_source
+
+    sites = _named_sites(options.sites)
+    source = resolve_source(options.data_root, options.source, sites)
+    _print({"source": str(source), "sites": sites}, as_json=options.json)
+
+
+def _run_verify(options: Namespace) -> None:
+    from dataclasses import asdict
+
+    from fploc.datasets.download import resolve_source
+    from fploc.datasets.verify import verify
+
+    sites = _named_sites(options.sites)
+    report = verify(resolve_source(options.data_root, options.source, sites), sites)
+    _print(asdict(report), as_json=options.json)
+    report.require_intact()
+
+
+def _run_build(options: Namespace) -> None:
+    from fploc.datasets.build import build_site
+    from fploc.datasets.download import resolve_source
+    from fploc.progress import track
+    from fploc.sites.registry import load_spec
+
+    specs = [load_spec(name) for name in _named_sites(options.sites)]
+    public = [spec.site.name for spec in specs if spec.is_public]
+    source = resolve_source(options.data_root, options.source, public) if public else None
+    reports = [build_site(spec, source, options.data_root) for spec in track(specs, "build")]
+    rows = [
+        {
+            "site": report.site,
+            "state": report.state,
+            "missing files": str(len(report.missing)),
+            "seconds": f"{report.seconds:.1f}",
+            "folder": str(report.folder) if report.state != "absent" else "",
+        }
+        for report in reports
+    ]
+    _print_rows(rows, as_json=options.json)
+    built = [report.site for report in reports if report.state != "absent"]
+    if built and not options.json:
+        from fploc.datasets.describe import describe, table_rows
+
+        _print_rows(table_rows(describe(options.data_root, built)), as_json=False)
+
+
+def _run_describe(options: Namespace) -> None:
+    from fploc.datasets.describe import describe, table_rows, write_overlays
+    from fploc.datasets.packed import packed_sites
+
+    sites = options.sites.split(",") if options.sites else packed_sites(options.data_root)
+    descriptions = describe(options.data_root, sites)
+    if options.json:
+        print(json.dumps([description.to_json() for description in descriptions], indent=2))  # noqa: T201
+    else:
+        _print_rows(table_rows(descriptions), as_json=False)
+    for path in write_overlays(options.data_root, sites, options.out):
+        print(f"picture: {path}", file=sys.stderr)  # noqa: T201
+
+
+def _run_made_up(options: Namespace) -> None:
+    from fploc.sites.made_up import made_up_site
+
+    site = made_up_site(options.seed, options.out)
+    print(f"{site}: pack it with `fploc data build --sites {site}`")  # noqa: T201
+
+
+def _run_evaluate(options: Namespace) -> None:
+    from fploc.experiments.scoring import Question, answer
+
+    question = Question(
+        method=options.method,
+        protocol=options.protocol,
+        site=options.site,
+        device=options.device,
+        calibration=options.calibration,
+        labels=options.labels,
+        plan=options.plan,
+        speed_prior_mps=options.speed_prior,
+        thin=options.thin,
+        seed=options.seed,
+        preset=options.preset,
+    )
+    records = [record.to_json() for record in answer(question, options.data_root, options.runs)]
+    if options.json == "-":
+        print(json.dumps(records, indent=2))  # noqa: T201
+        return
+    if options.json:
+        Path(options.json).write_text("".join(json.dumps(record) + "\n" for record in records))
+    columns = ("device", "labels", "filter", "n", "no_fix_share", "rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
+    _print_rows([{name: _text(record[name]) for name in columns} for record in records], as_json=False)
+
+
+def _run_reproduce(options: Namespace) -> None:
+    from fploc.experiments.reproduce import reproduce
+
+    sites = _named_sites(options.sites) if options.sites else None
+    reproduce(options.preset, options.data_root, options.source, options.runs, sites)
+
+
+def _fit(words: list[str]) -> int:
+    from fploc.experiments.fit import fit_from_command_line
+
+    fit_from_command_line(words)
+    return 0
+
+
+def _named_sites(text: str) -> list[str]:
+    from fploc.sites.registry import known_sites
+
+    return [name.strip() for name in text.split(",")] if text else list(known_sites())
+
+
+def _print(values: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(values, indent=2, default=str))  # noqa: T201
+        return
+    _print_rows([{"": name, "value": _text(value)} for name, value in values.items()], as_json=False)
+
+
+def _print_rows(rows: Sequence[Mapping[str, str]], *, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(list(rows), indent=2))  # noqa: T201
+        return
+    from fploc.progress import print_table
+
+    print_table(rows)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.2f}"
+    if isinstance(value, list | tuple):
+        return ", ".join(str(item) for item in value) or "none"
+    return str(value)
+
+
+def _fail(message: str, code: int) -> int:
+    print(f"fploc: {message}", file=sys.stderr)  # noqa: T201
+    return code
+
+
+def _version() -> str:
+    from fploc import __version__
+
+    return __version__
