@@ -14,7 +14,7 @@ from importlib import resources
 from pathlib import Path
 
 from fploc.errors import MissingFileError, UnknownNameError
-from fploc.sites.registry import FileRef, SiteSpec, load_spec
+from fploc.sites.registry import FileRef, SiteSpec, known_sites, load_spec
 
 REPOSITORY = "https://github.com/haiyaoyu/RTT-Indoor-localization-data-set"
 
@@ -23,6 +23,8 @@ REVISIONS = {
     "2b19c6c": "2b19c6c0db0e54f07800802fdf261ea3835ca478",
     "0bdeb2a": "0bdeb2a5252b08490e3c19ebcbabd640aaa48a02",
 }
+
+_EXAMPLE = "2b19c6c/raw_data/Laboratory/1/113.csv"
 
 
 @dataclass(frozen=True)
@@ -112,13 +114,21 @@ def require_usable(source: Path, *, named_by: str) -> Path:
     """Return the folder ``source``, which the option or variable ``named_by`` names, where it is a source.
 
     Raises:
-        MissingFileError: If it holds no revision of the data set.
+        MissingFileError: If it holds no revision of the data set, or no recording of any site.
     """
+    way_out = f"correct {named_by}, or leave it out to download from GitHub"
     if not any(folder.is_dir() for revision in REVISIONS for folder in source.glob(f"{revision}*")):
         raise MissingFileError(
             f"{source} ({named_by})",
             expected=f"a folder laid out <revision>/<path>, with {' or '.join(REVISIONS)} in it",
-            way_out=f"correct {named_by}, or leave it out to download from GitHub",
+            way_out=way_out,
+        )
+    present, _ = split_by_presence(source, known_sites())
+    if not present:
+        raise MissingFileError(
+            f"{source} ({named_by})",
+            expected=f"recordings of at least one site, for example {_EXAMPLE}",
+            way_out=way_out,
         )
     return source
 

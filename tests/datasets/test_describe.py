@@ -36,6 +36,16 @@ def test_every_reading_of_the_files_is_kept_or_dropped_for_a_reason(data_root: P
             assert device.ranges == device.readings - device.masked["range_missing"]
 
 
+def test_every_reason_is_explained_on_the_data_page(data_root: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text("utf-8")
+    for site in SITES:
+        manifest = read_manifest(packed_folder(data_root, site))
+        kinds = ("dropped_sets", "dropped_readings", "dropped", "masked")
+        entries = manifest["recordings"] + manifest["device_links"]
+        reasons = {reason for entry in entries for kind in kinds for reason in entry.get(kind, {})}
+        assert [reason for reason in sorted(reasons) if f"`{reason}`" not in page] == []
+
+
 def test_counts_are_those_of_the_tables(data_root: Path) -> None:
     (site,) = describe(data_root, ["library"])
     packed = read_packed(data_root, "library")

@@ -251,7 +251,9 @@ def test_a_site_is_fetched_with_all_its_files(
 
 
 def usable_folder(folder: Path) -> Path:
-    (folder / REVISION).mkdir(parents=True)
+    lap = folder / REVISION / "raw_data" / "Laboratory" / "1" / "113.csv"
+    lap.parent.mkdir(parents=True)
+    lap.write_text("a lap")
     return folder
 
 
@@ -265,7 +267,7 @@ def test_the_option_comes_before_the_variable_and_neither_uses_the_network(
     assert resolve_source(tmp_path, None, ["office"]) == variable
 
 
-@pytest.mark.parametrize("kind", ["absent", "a file", "another folder"])
+@pytest.mark.parametrize("kind", ["absent", "a file", "another folder", "no recordings"])
 def test_an_unusable_folder_says_who_named_it_and_what_was_expected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
@@ -274,6 +276,8 @@ def test_an_unusable_folder_says_who_named_it_and_what_was_expected(
         folder.write_text("x")
     if kind == "another folder":
         (folder / "raw_data").mkdir(parents=True)
+    if kind == "no recordings":
+        (folder / REVISION / "raw_data").mkdir(parents=True)
     monkeypatch.setenv("FPLOC_SOURCE", str(folder))
     for given, name in ((None, "FPLOC_SOURCE"), (folder, "--from")):
         with pytest.raises(FplocError, match="2b19c6c") as caught:
