@@ -1,11 +1,11 @@
 """Nonlinear least squares on ranges: min Σ ρ((|x − p_i| − d_i)/σ_i) (Guvenc, Chong, Watanabe, VTC 2007).
 
-Reading of the source: damped Newton steps with the 2 × 2 systems in closed form, a fixed number of them, and
-several starts. Departure: beside the centroid of the access points
-heard, the starts are the best points of the four quarters of the smallest range circle and the mirror image
-of the best of them in the main axis of the access points, where the second minimum lies. On the mall and the
-laboratory they reach the global minimum of every interval tried, without the previous fix, so that an interval
-is solved alone; further starts can still be handed in. The centroid's minimum is preferred (``advantage``).
+Reading of the source: damped Newton steps with the 2 × 2 systems in closed form, a fixed number of them, from
+the centroid of the access points heard. Departure: further starts are the best points of the four quarters of
+the smallest range circle and the mirror image of the best of them in the main axis of the access points, where
+the second minimum lies. They stand in for the previous fix, so that an interval is solved alone; on the mall
+and the laboratory one of them reached the global minimum in every interval tried. The centroid's minimum is
+kept unless another is far better (``NonlinearSettings.advantage``).
 
 Axes: B intervals, A access points, S starts.
 """

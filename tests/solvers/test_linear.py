@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from fploc.methods.interface import Estimate, NoFix
+from fploc.solvers.linear import LinearSettings, nearest_access_points, solve_linear
+from fploc.solvers.planar import spread_ratios
+
+SQUARE = torch.tensor([[0.0, 0.0], [20.0, 0.0], [20.0, 15.0], [0.0, 15.0], [9.0, 7.0]], dtype=torch.float64)
+TRUTH = torch.tensor([[3.0, 4.0], [17.0, 11.0]], dtype=torch.float64)
+coordinate = st.floats(-30.0, 30.0, allow_nan=False)
+point = st.tuples(coordinate, coordinate)
+
+
+def solve(
+    ranges: torch.Tensor, heard: torch.Tensor | None = None, access_points: torch.Tensor = SQUARE
+) -> Estimate:
+    present = torch.ones_like(ranges, dtype=torch.bool) if heard is None else heard
+    reference = nearest_access_points(ranges, present)
+    return solve_linear(ranges, access_points, torch.ones_like(ranges), present, reference=reference)
+
+
+@settings(deadline=None, max_examples=150)
+@given(access_points=st.lists(point, min_size=3, max_size=8), position=point)
+def test_noise_free_ranges_give_back_the_position(
+    access_points: list[tuple[float, float]], position: tuple[float, float]
+) -> None:
+    stations = torch.tensor(access_points, dtype=torch.float64)
+    truth = torch.tensor([position], dtype=torch.float64)
+    assume(spread_ratios(stations, torch.ones(1, len(stations), dtype=torch.bool)).item() > 0.05)
+    found = solve(torch.cdist(truth, stations), access_points=stations)
+    assert found.fixed.all()
+    assert torch.dist(found.positions, truth) < 1e-6
+
+
+def test_any_reference_gives_the_same_without_noise() -> None:
+    ranges = torch.cdist(TRUTH, SQUARE)
+    heard = torch.ones_like(ranges, dtype=torch.bool)
+    for index in range(len(SQUARE)):
+        found = solve_linear(
+            ranges, SQUARE, torch.ones_like(ranges), heard, reference=torch.full((2,), index)
+        )
+        torch.testing.assert_close(found.positions, TRUTH)
+
+
+def test_the_order_of_access_points_changes_nothing() -> None:
+    ranges = torch.cdist(TRUTH, SQUARE) + torch.tensor([0.3, -0.4, 1.1, 0.0, 0.7]).double()
+    order = torch.tensor([3, 1, 4, 0, 2])
+    one, other = solve(ranges), solve(ranges[:, order], access_points=SQUARE[order])
+    torch.testing.assert_close(one.positions, other.positions)
+    torch.testing.assert_close(one.covariances, other.covariances)
+
+
+@pytest.mark.parametrize(
+    ("count", "reason"),
+    [(0, NoFix.NO_READING), (1, NoFix.TOO_FEW_RANGES), (2, NoFix.TOO_FEW_RANGES), (3, NoFix.FIXED)],
+)
+def test_it_needs_three_ranges(count: int, reason: NoFix) -> None:
+    heard = (torch.arange(len(SQUARE)) < count).expand(2, -1)
+    found = solve(torch.cdist(TRUTH, SQUARE), heard)
+    assert found.reasons.tolist() == [reason, reason]
+    assert torch.isfinite(found.positions).all().item() is (reason == NoFix.FIXED)
+
+
+def test_access_points_on_a_line_give_no_fix() -> None:
+    line = torch.tensor([[0.0, 0.0], [10.0, 5.0], [20.0, 10.0], [10.0, 5.0]], dtype=torch.float64)
+    found = solve(torch.cdist(TRUTH, line), access_points=line)
+    assert found.reasons.tolist() == [NoFix.DEGENERATE_GEOMETRY] * 2
+    assert found.positions.isnan().all()
+
+
+def test_a_range_outlier_is_refused_where_it_throws_the_position_out_of_reach() -> None:
+    ranges = torch.cdist(TRUTH, SQUARE)
+    ranges[0, 2] = 500.0
+    found = solve(ranges)
+    assert found.reasons.tolist() == [NoFix.DEGENERATE_GEOMETRY, NoFix.FIXED]
+    heard = torch.ones_like(ranges, dtype=torch.bool)
+    unguarded = solve_linear(
+        ranges,
+        SQUARE,
+        torch.ones_like(ranges),
+        heard,
+        reference=nearest_access_points(ranges, heard),
+        settings=LinearSettings(reach_m=1e9),
+    )
+    assert unguarded.positions[0].norm() > 500.0
+
+
+def test_ranges_that_were_not_heard_do_not_matter() -> None:
+    ranges = torch.cdist(TRUTH, SQUARE)
+    ranges[:, 2] = torch.nan
+    heard = torch.tensor([True, True, False, True, True]).expand(2, -1)
+    torch.testing.assert_close(solve(ranges, heard).positions, TRUTH)
+
+
+def test_covariance_is_that_of_many_noisy_solutions() -> None:
+    generator = torch.Generator().manual_seed(1)
+    clean = torch.cdist(TRUTH[:1], SQUARE).expand(20000, -1)
+    sigma = 0.05
+    noisy = clean + sigma * torch.randn(clean.shape, generator=generator, dtype=torch.float64)
+    heard = torch.ones_like(noisy, dtype=torch.bool)
+    found = solve_linear(
+        noisy, SQUARE, torch.full_like(noisy, sigma), heard, reference=torch.zeros(20000, dtype=torch.int64)
+    )
+    torch.testing.assert_close(torch.cov(found.positions.T), found.covariances.mean(0), rtol=0.05, atol=1e-4)
