@@ -25,8 +25,10 @@ from fploc.sites.registry import LinkSpec, RecordingSpec, SiteSpec
 Floats = NDArray[np.float64]
 
 _MS_PER_S = 1e3
-# A published true distance farther than this (median) from the one to the label is of another access point.
+# Published true distances farther than this (median) from those to the label are wrong; where they come this
+# close to another access point, they are of that one.
 _OTHER_AP_M = 1.0
+_SAME_AP_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,24 +239,25 @@ def _check_true_distances(lap: Lap, spec: SiteSpec) -> dict[str, float]:
     A check of the file, not of the measurements: columns that belong to another access point show here.
 
     Raises:
-        BadFileError: If at least half of the access points contradict.
+        BadFileError: If the true distances of an access point are those to another one.
     """
-    position = dict(zip(spec.site.macs, spec.site.positions_m, strict=True))
-    names = {ap.mac: ap.name for ap in spec.site.access_points}
+    site = spec.site
+    names = [ap.name for ap in site.access_points]
     rows = lap.readings[lap.readings["true_distance_m"] > 0]
     labels = lap.sets.loc[rows["set"], ["x_m", "y_m"]].to_numpy()
-    at = np.array([position[mac] for mac in rows["mac"].unique()]).reshape(-1, 2)
-    codes, _ = pd.factorize(rows["mac"])
-    distance = np.linalg.norm(labels - at[codes], axis=1)
-    off = (rows["true_distance_m"] - distance).abs().groupby(rows["mac"].map(names)).median()
-    checked = off.drop([name for name in spec.true_distance_faults if name in off.index])
-    wrong = checked[checked > _OTHER_AP_M]
-    if len(checked) and 2 * len(wrong) >= len(checked):
+    distances = np.linalg.norm(labels[:, None] - site.positions_m, axis=2)
+    off = pd.DataFrame(np.abs(distances - rows[["true_distance_m"]].to_numpy()), columns=names)
+    medians = off.groupby(rows["mac"].map(dict(zip(site.macs, names, strict=True))).to_numpy()).median()
+    own = pd.Series({name: medians.loc[name, name] for name in medians.index}, dtype=np.float64)
+    suspects = medians[own > _OTHER_AP_M].drop(list(spec.true_distance_faults), errors="ignore")
+    others = suspects[suspects.min(axis=1) < _SAME_AP_M].idxmin(axis=1)
+    if len(others):
+        name, other = str(others.index[0]), str(others.iloc[0])
         raise BadFileError(
             lap.path,
-            f"columns True Distance of {', '.join(wrong.index)}",
-            value=f"values {wrong.iloc[0]:.1f} m off the distance from the label (median)",
-            expected=f"distances to the access points of {spec.site.name}",
+            f"column True Distance of {name}",
+            value=f"distances to {other} (to {name} they are {own[name]:.1f} m off)",
+            expected=f"distances to {name} of {site.name}",
             way_out="check `numbering` and the coordinates in the site file",
         )
-    return {str(name): round(float(value), 4) for name, value in off.items()}
+    return {str(name): round(float(value), 4) for name, value in own.items()}
