@@ -34,7 +34,9 @@ def read_table(path: Path, *, kind: str) -> pd.DataFrame:
     if not path.is_file():
         raise MissingFileError(path, expected=f"a {kind}", way_out="check the path or fetch the file again")
     try:
-        table = pd.read_csv(path, encoding="utf-8-sig", index_col=False, low_memory=False)
+        table = pd.read_csv(
+            path, encoding="utf-8-sig", index_col=False, low_memory=False, skip_blank_lines=False
+        )
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as error:
         raise BadFileError(
             path,
@@ -88,11 +90,14 @@ def numbers(table: pd.DataFrame, column: str, path: Path, *, nullable: bool = Fa
         bad |= np.isnan(values)
     if bad.any():
         first = int(np.argmax(bad))
-        short = bool(table.iloc[first, list(table.columns).index(column) :].isna().all())
+        after = table.iloc[first, list(table.columns).index(column) :]
+        found = repr(str(cells.iloc[first]))
+        if empty[first]:
+            found = "nothing (the row is cut off)" if after.isna().all() else "nothing (empty or NaN)"
         raise BadFileError(
             path,
             f"line {table.index[first]}, column {column}",
-            value="nothing (the row is cut off)" if short and empty[first] else repr(cells.iloc[first]),
+            value=found,
             expected="a number",
             way_out=_FETCH_AGAIN,
         )
