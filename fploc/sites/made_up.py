@@ -85,6 +85,7 @@ _PLAN_MARGIN_M = 2.0
 _DEVICE_HEIGHT_M = 1.0
 _DOOR_M = 1.1
 _LARGEST_SEED = 2**24 - 1
+_PLAN_FILE = "floor_plan.png"
 _FIRST_DAY = datetime(2030, 1, 1, 10, tzinfo=UTC)
 
 # Device → how its recordings and log files are called, as by the authors' loggers.
@@ -225,20 +226,22 @@ def walk(building: MadeUpBuilding, *, device: int, lap: int, duration_s: float) 
 
 
 def write_building(building: MadeUpBuilding, out: Path) -> None:
-    """Write the plan image and the access point sheet of a building into the folder ``out``."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_grey_image(out / _plan_file(), _draw(building))
+    """Write the plan image and the access point sheet of a building into ``out/<name>/``."""
+    folder = out / building.site.name
+    folder.mkdir(parents=True, exist_ok=True)
+    write_grey_image(folder / _PLAN_FILE, _draw(building))
     sheet = pd.DataFrame(
         building.site.positions_m, index=[ap.name for ap in building.site.access_points], columns=["x", "y"]
     )
     # The authors' sheets begin with a byte order mark.
-    _write_text(out / f"AP_idx_{building.site.name}.csv", "\ufeff" + sheet.to_csv(lineterminator="\n"))
+    _write_text(folder / f"AP_idx_{building.site.name}.csv", "\ufeff" + sheet.to_csv(lineterminator="\n"))
 
 
 def made_up_site(seed: int, out: Path, laps: int = 3, duration_s: float = 300.0) -> Path:
     """Write a made-up building and its recordings as the files of a site, and return its site file.
 
-    The site file comes last: where it stands, everything it names is complete.
+    The files go to ``out/<name>/``, the site file to ``out/<name>.yaml``. It comes last: where it stands,
+    everything it names is complete.
 
     Args:
         seed: One seed gives the same bytes.
@@ -258,17 +261,18 @@ def made_up_site(seed: int, out: Path, laps: int = 3, duration_s: float = 300.0)
                 way_out="give a larger one",
             )
     building = make_building(seed)
+    name = building.site.name
     write_building(building, out)
     recordings: list[dict[str, Any]] = []
     links: list[dict[str, Any]] = []
     for lap in range(1, laps + 1):
         began = _FIRST_DAY + timedelta(seconds=round((lap - 1) * (duration_s + 120.0)))
-        (out / str(lap)).mkdir(exist_ok=True)
+        (out / name / str(lap)).mkdir(exist_ok=True)
         walked = {
             device: walk(building, device=device, lap=lap, duration_s=duration_s) for device in _LOG_PREFIX
         }
         for device, recording in walked.items():
-            file = f"{lap}/{_LOG_PREFIX[device]}_{began:%H_%M_%S}.csv"
+            file = f"{name}/{lap}/{_LOG_PREFIX[device]}_{began:%H_%M_%S}.csv"
             rng = np.random.default_rng([building.seed, 2, lap, device])
             log = phone_log(building.site, recording, rng)
             _write_text(out / file, log)
@@ -281,12 +285,12 @@ def made_up_site(seed: int, out: Path, laps: int = 3, duration_s: float = 300.0)
                     "raw": {"path": file},
                 }
             )
-        file = f"{lap}/rtt-log-{began:%b-%d-%Y-%I-%M-%S-%p}.csv"
+        file = f"{name}/{lap}/rtt-log-{began:%b-%d-%Y-%I-%M-%S-%p}.csv"
         rng = np.random.default_rng([building.seed, 3, lap])
         _write_text(out / file, link_log(building, walked[1], walked[2], rng))
         links.append({"lap": str(lap), "clock": "starts with both devices (made up)", "file": {"path": file}})
-    recordings.sort(key=lambda entry: (entry["device"], entry["lap"]))
-    path = out / f"{building.site.name}.yaml"
+    recordings.sort(key=lambda entry: (entry["device"], int(entry["lap"])))
+    path = out / f"{name}.yaml"
     _write_text(path, _site_file(building, recordings, links))
     return path
 
@@ -609,10 +613,6 @@ def _split(lap: int, laps: int) -> str:
     return "validate" if lap == laps - 1 and laps > 2 else "train"
 
 
-def _plan_file() -> str:
-    return "plan-native.png"
-
-
 def _site_file(
     building: MadeUpBuilding, recordings: list[dict[str, Any]], links: list[dict[str, Any]]
 ) -> str:
@@ -633,7 +633,7 @@ def _site_file(
             for ap in site.access_points
         ],
         "plan": {
-            "file": {"path": _plan_file()},
+            "file": {"path": f"{site.name}/{_PLAN_FILE}"},
             "native_from_metres": native.pixels_from_metres.tolist(),
             "origin_m": [float(coordinate) for coordinate in building.plan_origin_m],
             "size_px": [int(np.ceil(extent / _METRES_PER_PIXEL)) for extent in building.plan_extent_m],
@@ -645,7 +645,7 @@ def _site_file(
         },
         "recordings": recordings,
         "links": links,
-        "sheets": [{"path": f"AP_idx_{site.name}.csv"}],
+        "sheets": [{"path": f"{site.name}/AP_idx_{site.name}.csv"}],
     }
     heading = f"# Made by `fploc made-up --seed {building.seed}`: no real building, no measurement.\n"
     return heading + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=110)
