@@ -53,10 +53,10 @@ class Material:
 
 # Drawn as in the public plans: structure black, partitions grey, glass a hairline.
 MATERIALS = (
-    Material("concrete", thickness_m=0.30, shade=0, excess_m=1.30, loss_db=9.0),
-    Material("brick", thickness_m=0.20, shade=0, excess_m=0.70, loss_db=6.0),
-    Material("plasterboard", thickness_m=0.14, shade=128, excess_m=0.35, loss_db=3.0),
-    Material("glass", thickness_m=0.04, shade=0, excess_m=0.20, loss_db=2.0),
+    Material("concrete", thickness_m=0.30, shade=0, excess_m=1.60, loss_db=9.0),
+    Material("brick", thickness_m=0.20, shade=0, excess_m=0.90, loss_db=6.0),
+    Material("plasterboard", thickness_m=0.14, shade=128, excess_m=0.50, loss_db=3.0),
+    Material("glass", thickness_m=0.04, shade=0, excess_m=0.30, loss_db=2.0),
 )
 CONCRETE, BRICK, PLASTERBOARD, GLASS = range(len(MATERIALS))
 
