@@ -52,7 +52,11 @@ def read_grey_image(path: Path) -> Grey:
         raise MissingFileError(path, expected="an image of a floor plan", way_out="check the path")
     # A file name goes through the C library's own encoding; bytes read here do not.
     encoded = np.fromfile(path, dtype=np.uint8)
-    image = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
+    try:
+        image = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
+    except cv2.error:
+        # Raised, for example, of a header that promises more pixels than OpenCV accepts.
+        image = None
     if image is None:
         raise BadFileError(
             path,

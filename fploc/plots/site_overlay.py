@@ -44,13 +44,15 @@ def plot_site_overlay(plan: FloorPlan, site: Site, paths: Mapping[str, NDArray[n
     low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
     scale = _LARGEST_SIDE_IN / (high - low).max()
     figure = Figure(
-        figsize=((high - low)[0] * scale + 2.2, (high - low)[1] * scale + 1.4), layout="constrained"
+        figsize=((high - low)[0] * scale + 2.2, (high - low)[1] * scale + 1.0), layout="constrained"
     )
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.imshow(_coloured(plan), extent=tuple(edges), origin="upper", interpolation="antialiased")
-    for (label, path), colour in zip(known.items(), _cycled(len(known)), strict=True):
-        axes.plot(*path.T, color=colour, linewidth=1.4, alpha=0.85, label=label, zorder=3)
+    # The first is the widest: of paths on one line, each still shows at the rims of the next.
+    widths = np.linspace(1.4 * max(len(known), 1), 1.4, len(known))
+    for (label, path), colour, width in zip(known.items(), _cycled(len(known)), widths, strict=True):
+        axes.plot(*path.T, color=colour, linewidth=width, alpha=0.85, label=label, zorder=3)
         if len(path):
             axes.plot(*path[0], marker="o", color=colour, markeredgecolor="white", markersize=7, zorder=4)
     axes.plot(

@@ -22,7 +22,10 @@ def test_written_and_read_again(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.png", "walls.png"]
 
 
-@pytest.mark.parametrize("contents", [b"", b"x,y\n1,2\n", b"\x89PNG\r\n\x1a\n truncated"])
+@pytest.mark.parametrize(
+    "contents",
+    [b"", b"x,y\n1,2\n", b"\x89PNG\r\n\x1a\n truncated", b"P5 100000 100000 255\n" + bytes(100)],
+)
 def test_plan_that_is_no_image(tmp_path: Path, contents: bytes) -> None:
     path = tmp_path / "plan.png"
     path.write_bytes(contents)
