@@ -17,7 +17,7 @@ from fploc.calibration.offsets import RangeOffsets, constant_offset, fit_offsets
 from fploc.datasets.packed import read_packed
 from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError, UnknownNameError
-from fploc.evaluation.metrics import Scores, mean_over_recordings, score
+from fploc.evaluation.metrics import Scores, score
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import Record, finite_or_none
 from fploc.evaluation.revision import running_commit
@@ -133,12 +133,7 @@ def records_of(
         of_device = [track for track in tracks if track.recording.device == device]
         for labels in _labels_there(request, [track.recording for track in of_device]):
             for name, paths in _paths_by_filter(of_device).items():
-                scores = mean_over_recordings(
-                    [
-                        score(path, track.recording.labels_m(labels))
-                        for path, track in zip(paths, of_device, strict=True)
-                    ]
-                )
+                scores = score(paths, [track.recording.labels_m(labels) for track in of_device])
                 records.append(
                     _record(method_name, request, device, labels, name, scores, paths[0].ms_per_fix, artifact)
                 )

@@ -2,8 +2,8 @@
 
 Only intervals from the first fix on are scored; those before it are counted apart. Where an interval has no fix
 the last one is held, except for the metrics that say "fixed" and for those of the stated region. Intervals
-without a label are left out. Metrics of several recordings are averaged over the recordings, each with the same
-weight; counts are added up.
+without a label are left out. A record pools the intervals of all recordings, which is how the outside checks of
+the issue count; for tables, ``mean_over_recordings`` gives recordings equal weights, or their arc length's.
 
 Axes: T intervals of one recording.
 """
@@ -27,7 +27,7 @@ COUNTS = ("n", "n_before_first_fix")
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of one recording, or of several together; NaN where there is nothing to score.
+    """Scores of one recording, or of several pooled; NaN where there is nothing to score.
 
     Args:
         n: Labelled intervals from the first fix on.
@@ -74,6 +74,17 @@ def held_errors_m(path: Path, labels_m: Floats) -> Floats:
     return errors[np.isfinite(errors)]
 
 
+def fixed_errors_m(path: Path, labels_m: Floats) -> Floats:
+    """Return the errors of labelled intervals with a fix of their own, shape (n,), metres.
+
+    Args:
+        path: Of one recording.
+        labels_m: Ground truth, shape (T, 2), metres, site frame; NaN where there is none.
+    """
+    errors: Floats = np.linalg.norm(path.positions_m - labels_m, axis=1)
+    return errors[path.fixed & np.isfinite(errors)]
+
+
 def normalised_errors(path: Path, labels_m: Floats) -> Floats:
     """Return eᵀP⁻¹e of every labelled fix, shape (n,).
 
@@ -87,21 +98,22 @@ def normalised_errors(path: Path, labels_m: Floats) -> Floats:
     return np.asarray((errors * scaled).sum(axis=1))
 
 
-def score(path: Path, labels_m: Floats) -> Scores:
-    """Score one recording.
+def score(paths: Sequence[Path], labels_m: Sequence[Floats]) -> Scores:
+    """Score recordings, their intervals pooled.
 
     Args:
-        path: Of the recording.
-        labels_m: Ground truth, shape (T, 2), metres, site frame; NaN where there is none.
+        paths: Of each recording.
+        labels_m: Ground truth of each, shape (T, 2), metres, site frame; NaN where there is none.
     """
-    labelled = np.isfinite(labels_m).all(axis=1)
-    held = held_errors_m(path, labels_m)
-    own = np.linalg.norm(path.positions_m - labels_m, axis=1)[path.fixed & labelled]
-    normalised = normalised_errors(path, labels_m)
+    pairs = list(zip(paths, labels_m, strict=True))
+    held = np.concatenate([held_errors_m(path, labels) for path, labels in pairs])
+    own = np.concatenate([fixed_errors_m(path, labels) for path, labels in pairs])
+    normalised = np.concatenate([normalised_errors(path, labels) for path, labels in pairs])
+    labelled = sum(int(np.isfinite(labels).all(axis=1).sum()) for labels in labels_m)
     p50, p90, p95 = np.quantile(held, (0.5, 0.9, 0.95)) if held.size else (np.nan,) * 3
     return Scores(
         n=held.size,
-        n_before_first_fix=int(labelled.sum()) - held.size,
+        n_before_first_fix=labelled - held.size,
         no_fix_share=1.0 - own.size / held.size if held.size else np.nan,
         rmse_m=_root_mean_square(held),
         rmse_fixed_m=_root_mean_square(own),
