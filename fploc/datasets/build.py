@@ -20,7 +20,7 @@ from fploc.datasets.manifest import SourceHash, make_manifest
 from fploc.datasets.packed import MANIFEST, PLAN, SITE, SPLITS, WALLS, packed_folder, read_manifest
 from fploc.datasets.source_files import blob_sha1
 from fploc.datasets.splits import make_splits, splits_to_json
-from fploc.errors import FplocError, HashMismatchError, MissingFileError
+from fploc.errors import BadFileError, FplocError, HashMismatchError, MissingFileError
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.walls import render_plan
 from fploc.raw.long_table import read_long_table
@@ -98,7 +98,16 @@ def _present(spec: SiteSpec, source: Path | None) -> tuple[dict[FileRef, Path], 
 
 
 def _hashed(file: FileRef, path: Path) -> SourceHash:
-    contents = path.read_bytes()
+    try:
+        contents = path.read_bytes()
+    except OSError as error:
+        raise BadFileError(
+            path,
+            "whole file",
+            value=error.strerror or str(error),
+            expected="a file that can be read",
+            way_out="check its permissions, or copy it again",
+        ) from error
     found = blob_sha1(contents)
     if file.blob_sha1 is not None and found != file.blob_sha1:
         raise HashMismatchError(

@@ -45,6 +45,8 @@ def drop_repeats(lap: Lap) -> tuple[Lap, Counts]:
 
 def keep_sets(lap: Lap, keep: NDArray[np.bool_]) -> Lap:
     """Return the lap with the sets where ``keep`` (T,) is True, and their readings; indices stay."""
+    if keep.all():
+        return lap
     sets = lap.sets[keep]
     readings = lap.readings[lap.readings["set"].isin(sets.index)]
     return replace(lap, sets=sets, readings=readings)
