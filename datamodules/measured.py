@@ -5,16 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import lightning.pytorch as pl
+import torch
 from torch.utils.data import DataLoader
 
 from fploc.calibration.offsets import RangeOffsets, fit_offsets
 from fploc.datasets.build import build_sites
 from fploc.datasets.download import resolve_source
 from fploc.datasets.loaders import ordered_batches, random_batches
-from fploc.datasets.packed import PackedSite, has_packed, read_packed
+from fploc.datasets.packed import PackedSite, packed_folder, read_packed
 from fploc.datasets.recordings import Recording
 from fploc.datasets.samples import LabelledIntervals, MeasuredIntervals
-from fploc.localizer import calibrated_plan_ranges
+from fploc.localizer import plan_ranges
 
 VALIDATION_BATCH = 256
 
@@ -61,7 +62,7 @@ class MeasuredDataModule(pl.LightningDataModule):
 
     def prepare_data(self) -> None:
         """Build the packed site where it is missing."""
-        if not has_packed(self.data_root, self.site):
+        if not packed_folder(self.data_root, self.site).is_dir():
             source = resolve_source(self.data_root, self.source, [self.site])
             build_sites(source, self.data_root, [self.site])
 
@@ -82,10 +83,13 @@ class MeasuredDataModule(pl.LightningDataModule):
         """Return the calibrated intervals of a part."""
         assert self.packed is not None and self.offsets is not None, "setup() comes first"
         recordings = self.recordings(part)
+        site = self.packed.site
+        heights = torch.from_numpy(site.height_differences_m)
         ranges = [
-            calibrated_plan_ranges(recording, self.packed.site, self.offsets) for recording in recordings
+            plan_ranges(torch.from_numpy(self.offsets.apply(one.slant_m, site.macs)), heights).numpy()
+            for one in recordings
         ]
-        return MeasuredIntervals(recordings, ranges, self.packed.site, self.packed.plan, self.labels)
+        return MeasuredIntervals(recordings, ranges, site, self.packed.plan, self.labels)
 
     def train_dataloader(self) -> dict[str, DataLoader[LabelledIntervals]]:
         """Return the stream of training batches, by name as tasks take it."""

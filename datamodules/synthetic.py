@@ -3,40 +3,42 @@
 from __future__ import annotations
 
 import lightning.pytorch as pl
-from torch.utils.data import DataLoader
+import torch
+from torch.utils.data import DataLoader, RandomSampler
 
 from fploc.datasets.samples import LabelledIntervals
 from fploc.virtual.site import VirtualIntervals, VirtualSite
 
 
 class SyntheticDataModule(pl.LightningDataModule):
-    """Virtual intervals for training, and others of the same site for validation.
+    """Virtual intervals, drawn once into a pool that every epoch takes its batches from at random.
+
+    Drawing a batch costs as much as learning from it; a pool serves all networks and epochs.
 
     Args:
         site: The virtual site.
         pairs: Pairs of devices in a batch.
         batches: Training batches of an epoch.
-        validation_batches: Batches of validation, the same in every epoch.
-        seed: Seed of both streams.
+        pool_batches: Batches drawn.
+        seed: Seed of the draws and of their order.
     """
 
-    def __init__(
-        self, site: VirtualSite, pairs: int, batches: int, validation_batches: int, seed: int
-    ) -> None:
+    def __init__(self, site: VirtualSite, pairs: int, batches: int, pool_batches: int, seed: int) -> None:
         super().__init__()
         self.site = site
         self.pairs = pairs
         self.batches = batches
-        self.validation_batches = validation_batches
+        self.pool_batches = pool_batches
         self.seed = seed
+        self.pool: list[LabelledIntervals] = []
+
+    def setup(self, stage: str | None = None) -> None:
+        """Draw the pool, where it is not drawn yet."""
+        if not self.pool:
+            self.pool = list(VirtualIntervals(self.site, self.pairs, self.pool_batches, seed=self.seed))
 
     def train_dataloader(self) -> dict[str, DataLoader[LabelledIntervals]]:
         """Return the stream of training batches, by name as tasks take it."""
-        stream = VirtualIntervals(self.site, self.pairs, self.batches, seed=2 * self.seed)
-        return {"virtual": DataLoader(stream, batch_size=None)}
-
-    def val_dataloader(self) -> DataLoader[LabelledIntervals]:
-        """Return validation batches, drawn once."""
-        stream = VirtualIntervals(self.site, self.pairs, self.validation_batches, seed=2 * self.seed + 1)
-        drawn: list[LabelledIntervals] = list(stream)
-        return DataLoader(drawn, batch_size=None)  # type: ignore[arg-type]
+        random = torch.Generator().manual_seed(self.seed)
+        sampler = RandomSampler(self.pool, replacement=True, num_samples=self.batches, generator=random)
+        return {"virtual": DataLoader(self.pool, sampler=sampler, batch_size=None)}  # type: ignore[arg-type]

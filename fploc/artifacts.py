@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -88,7 +87,7 @@ class Artifact:
             }
             (new / "artifact.json").write_text(json.dumps(description, indent=2) + "\n")
             if folder.exists():
-                shutil.rmtree(folder)
+                folder.rename(Path(temporary) / "old")
             new.rename(folder)
         return folder
 
@@ -148,7 +147,14 @@ def _description(folder: Path, key: ArtifactKey, command: str) -> dict[str, Any]
         raise BadFileError(
             file, "whole file", value=str(error), expected="JSON", way_out=f"make it again: {command}"
         ) from error
-    assert isinstance(description, dict)
+    if not isinstance(description, dict):
+        raise BadFileError(
+            file,
+            "whole file",
+            value=type(description).__name__,
+            expected="a JSON object",
+            way_out=f"make it again: {command}",
+        )
     return description
 
 

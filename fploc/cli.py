@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,8 @@ DATA_COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 2 for bad input, 130 when interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    # torch_geometric scripts a function at import, which torch announces the end of.
+    warnings.filterwarnings("ignore", message=".*torch.jit.script.*", category=FutureWarning)
     try:
         if words[:1] == ["fit"]:
             return _fit(words[1:])
@@ -195,7 +198,7 @@ def _run_build(options: Namespace) -> None:
     from fploc.sites.registry import load_spec
 
     specs = [load_spec(name) for name in _named_sites(options.sites)]
-    public = [spec.site.name for spec in specs if spec.is_public]
+    public = [spec.site.name for spec in specs if spec.plan.file.revision is not None]
     source = resolve_source(options.data_root, options.source, public) if public else None
     reports = [build_site(spec, source, options.data_root) for spec in track(specs, "build")]
     rows = [
@@ -238,22 +241,23 @@ def _run_made_up(options: Namespace) -> None:
 
 
 def _run_evaluate(options: Namespace) -> None:
-    from fploc.experiments.scoring import Question, answer
+    from fploc.evaluation.evaluate import EvaluationRequest
+    from fploc.experiments.scoring import DEFAULT_CALIBRATION, answer
 
-    question = Question(
-        method=options.method,
+    request = EvaluationRequest(
         protocol=options.protocol,
         site=options.site,
         device=options.device,
-        calibration=options.calibration,
+        calibration=DEFAULT_CALIBRATION if options.calibration is None else options.calibration,
         labels=options.labels,
         plan=options.plan,
-        speed_prior_mps=options.speed_prior,
+        speed_prior=options.speed_prior,
         thin=options.thin,
-        seed=options.seed,
         preset=options.preset,
+        seed=options.seed,
     )
-    records = [record.to_json() for record in answer(question, options.data_root, options.runs)]
+    answered = answer(options.method, request, options.calibration, options.data_root, options.runs)
+    records = [record.as_json() for record in answered]
     if options.json == "-":
         print(json.dumps(records, indent=2))  # noqa: T201
         return

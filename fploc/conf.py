@@ -25,14 +25,23 @@ def read_conf(group: str, name: str) -> dict[str, Any]:
 
     Raises:
         UnknownNameError: If there is no such file.
-        BadFileError: If it is no mapping.
+        BadFileError: If it is no YAML or no mapping.
     """
     folder = conf_folder() / group
     file = folder / f"{name}.yaml"
     if not file.is_file():
         known = sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir())
         raise UnknownNameError(f"conf/{group}", name, known=known, way_out="name one of these")
-    document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    try:
+        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise BadFileError(
+            f"conf/{group}/{name}.yaml",
+            "whole file",
+            value=" ".join(str(error).split()),
+            expected="YAML",
+            way_out="correct the file",
+        ) from error
     if not isinstance(document, dict):
         raise BadFileError(
             f"conf/{group}/{name}.yaml",

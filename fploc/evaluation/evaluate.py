@@ -18,7 +18,7 @@ from fploc.datasets.packed import read_packed
 from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError, UnknownNameError
 from fploc.evaluation.metrics import Scores, score
-from fploc.evaluation.protocols import protocol_of
+from fploc.evaluation.protocols import PUBLIC_SOURCE, protocol_of
 from fploc.evaluation.records import Record, finite_or_none
 from fploc.evaluation.revision import running_commit
 from fploc.filters.kalman import HEADLINE_SPEED_MPS, KalmanSettings
@@ -46,6 +46,7 @@ class EvaluationRequest:
         thin: Keep every ``thin``-th interval with the original time step.
         preset: That the method was trained with.
         seed: Of the method's training.
+        source: Site that the protocol learns from.
     """
 
     protocol: str
@@ -58,6 +59,7 @@ class EvaluationRequest:
     thin: int = 1
     preset: str = "default"
     seed: int = 0
+    source: str = PUBLIC_SOURCE
 
     def check(self) -> None:
         """Raise where an option cannot be used.
@@ -65,7 +67,7 @@ class EvaluationRequest:
         Raises:
             FplocError: Naming the option.
         """
-        protocol_of(self.protocol).check_target(self.site)
+        protocol_of(self.protocol, self.source).check_target(self.site)
         constant_offset(self.calibration)
         if self.labels not in LABELS:
             raise UnknownNameError("--labels", self.labels, known=list(LABELS), way_out="choose one of these")
@@ -87,7 +89,7 @@ def source_offsets(request: EvaluationRequest, data_root: Path) -> RangeOffsets:
     constant = constant_offset(request.calibration)
     if constant is not None:
         return RangeOffsets(request.calibration, constant)
-    protocol = protocol_of(request.protocol)
+    protocol = protocol_of(request.protocol, request.source)
     source = read_packed(data_root, protocol.source)
     return fit_offsets(request.calibration, protocol.training(source), source.site, source.plan)
 
@@ -108,7 +110,7 @@ def tracks_of(
     """
     request.check()
     target = read_packed(data_root, request.site)
-    recordings = protocol_of(request.protocol).testing(target, request.device)
+    recordings = protocol_of(request.protocol, request.source).testing(target, request.device)
     removed = source_offsets(request, data_root) if offsets is None else offsets
     thinned = [one.thinned(request.thin) for one in recordings]
     return localize(method, target.site, thinned, removed, KalmanSettings.for_speed(request.speed_prior))

@@ -7,7 +7,7 @@ up to now may be used; no label and no statistic over a whole recording.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fploc.datasets.packed import PackedSite
 from fploc.datasets.recordings import Recording
@@ -15,6 +15,7 @@ from fploc.datasets.splits import RecordingKey
 from fploc.errors import FplocError, UnknownNameError
 
 DEVICES = ("1", "2", "all")
+PUBLIC_SOURCE = "office"
 
 
 @dataclass(frozen=True)
@@ -93,29 +94,33 @@ PROTOCOLS = (
     EvaluationProtocol(
         name="seen",
         kind="seen",
-        source="office",
+        source=PUBLIC_SOURCE,
         meaning="office laps 1, 2, 4 to lap 5 along the same line: this is memory",
         tests_on_source=True,
     ),
     EvaluationProtocol(
         name="zero-shot",
         kind="zero-shot",
-        source="office",
+        source=PUBLIC_SOURCE,
         meaning="office only, to sites never seen: of them plan and access points alone",
         tests_on_source=False,
     ),
 )
 
 
-def protocol_of(name: str) -> EvaluationProtocol:
+def protocol_of(name: str, source: str = PUBLIC_SOURCE) -> EvaluationProtocol:
     """Return the protocol of this name.
+
+    Args:
+        name: As the command line takes it.
+        source: Site that it learns from: another one than the office's only among made-up buildings.
 
     Raises:
         UnknownNameError: If there is none.
     """
     for one in PROTOCOLS:
         if one.name == name:
-            return one
+            return replace(one, source=source)
     raise UnknownNameError(
         "--protocol", name, known=[one.name for one in PROTOCOLS], way_out="choose one of these"
     )

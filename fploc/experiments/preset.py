@@ -27,6 +27,7 @@ class Preset:
         labels: Labels to learn from.
         batch_intervals: Intervals of a training batch.
         batches_per_epoch: Batches of an epoch, from each stream.
+        pool_batches: Virtual batches drawn for each site.
         epochs: Of each training.
         learning_rates: Of each network.
         random_layout_share: Share of virtual batches with access points elsewhere.
@@ -42,6 +43,7 @@ class Preset:
     labels: str
     batch_intervals: int
     batches_per_epoch: int
+    pool_batches: int
     epochs: dict[str, int]
     learning_rates: dict[str, float]
     random_layout_share: float

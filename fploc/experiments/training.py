@@ -38,7 +38,6 @@ from fploc.virtual.dropout import Dropout
 from fploc.virtual.site import VirtualSite
 
 GRADIENT_LIMIT = 1.0
-VALIDATION_BATCHES = 4
 
 
 @dataclass(frozen=True)
@@ -129,13 +128,15 @@ def virtual_site(packed: PackedSite, generator: Generator, dropout: Dropout, pre
 
 def synthetic_data(site: VirtualSite, preset: Preset, seed: int) -> SyntheticDataModule:
     """Return the data module of a virtual site, with batches as large as the measured ones."""
-    return SyntheticDataModule(
+    synthetic = SyntheticDataModule(
         site,
         pairs=max(1, preset.batch_intervals // 2),
         batches=preset.batches_per_epoch,
-        validation_batches=VALIDATION_BATCHES,
+        pool_batches=preset.pool_batches,
         seed=seed,
     )
+    synthetic.setup()
+    return synthetic
 
 
 def train_chain(

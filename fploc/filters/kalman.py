@@ -61,19 +61,30 @@ class KalmanSettings:
         )
 
 
+# Made once: the filter is stepped thousands of times, and small tensors cost more to make than to use.
+_IDENTITY = torch.eye(4, dtype=torch.float64)
+_VELOCITY_TO_POSITION = torch.diag(torch.ones(2, dtype=torch.float64), 2)
+_NOISE_BLOCKS = torch.stack(
+    [
+        torch.diag(torch.tensor([1 / 3, 1 / 3, 0.0, 0.0], dtype=torch.float64)),
+        (_VELOCITY_TO_POSITION + _VELOCITY_TO_POSITION.T) / 2,
+        torch.diag(torch.tensor([0.0, 0.0, 1.0, 1.0], dtype=torch.float64)),
+    ]
+)
+"""What dt³, dt² and dt multiply in Q/q, shape (3, 4, 4)."""
+
+
 def transition(dt_s: Tensor) -> Tensor:
-    """Return F, shape (B, 4, 4), for time steps of shape (B,), seconds."""
-    matrices = torch.eye(4, dtype=dt_s.dtype, device=dt_s.device).repeat(len(dt_s), 1, 1)
-    matrices[:, 0, 2] = dt_s
-    matrices[:, 1, 3] = dt_s
-    return matrices
+    """Return F, shape (B, 4, 4), for time steps of shape (B,), seconds, float64."""
+    moved = _VELOCITY_TO_POSITION.to(dt_s.device)
+    return _IDENTITY.to(dt_s.device) + dt_s[:, None, None] * moved
 
 
 def process_noise(dt_s: Tensor, noise_m2_per_s3: float) -> Tensor:
-    """Return Q, shape (B, 4, 4), for time steps of shape (B,), seconds."""
-    blocks = torch.stack([dt_s**3 / 3, dt_s**2 / 2, dt_s**2 / 2, dt_s], -1).reshape(-1, 2, 2)
-    axes = torch.eye(2, dtype=dt_s.dtype, device=dt_s.device)
-    return noise_m2_per_s3 * torch.einsum("bij,kl->bikjl", blocks, axes).reshape(-1, 4, 4)
+    """Return Q, shape (B, 4, 4), for time steps of shape (B,), seconds, float64."""
+    powers = torch.stack([dt_s**3, dt_s**2, dt_s], -1) * noise_m2_per_s3
+    blocks = _NOISE_BLOCKS.to(dt_s.device).reshape(3, 16)
+    return (powers @ blocks).reshape(-1, 4, 4)
 
 
 @dataclass(frozen=True)
@@ -100,6 +111,7 @@ class BatchedFilter:
 
     def __init__(self, settings: KalmanSettings) -> None:
         self.settings = settings
+        self._first_speed_covariance = settings.speed_sd_mps**2 * _NOISE_BLOCKS[2]
 
     def init(self, devices: int, *, device: torch.device | str = "cpu") -> KalmanState:
         """Return the state of ``devices`` tracks before their first fix."""
@@ -143,15 +155,13 @@ class BatchedFilter:
         updates = fixed & ~starts & passes
 
         gain = covariances[:, :, :2] @ spread_inverse
-        kept = torch.eye(4, dtype=torch.float64, device=gain.device).repeat(len(gain), 1, 1)
-        kept[:, :, :2] -= gain
+        kept = _IDENTITY.to(gain.device) - torch.nn.functional.pad(gain, (0, 2))
         updated_means = means + (gain @ innovation[..., None])[..., 0]
         updated_covariances = kept @ covariances @ kept.mT + gain @ noise @ gain.mT
 
         first_means = torch.nn.functional.pad(measured, (0, 2))
-        first_covariances = torch.zeros_like(covariances)
-        first_covariances[:, :2, :2] = noise
-        first_covariances[:, (2, 3), (2, 3)] = self.settings.speed_sd_mps**2
+        first_covariances = torch.nn.functional.pad(noise, (0, 2, 0, 2))
+        first_covariances = first_covariances + self._first_speed_covariance.to(noise.device)
 
         means = _choose(starts, first_means, _choose(updates, updated_means, means))
         covariances = _choose(starts, first_covariances, _choose(updates, updated_covariances, covariances))
@@ -168,7 +178,7 @@ class BatchedFilter:
     def _measurement_noise(self, fixes: Estimate, fixed: Tensor) -> Tensor:
         """Return R, shape (B, 2, 2), square metres."""
         variance = self.settings.measurement_variance_m2
-        identity = torch.eye(2, dtype=torch.float64, device=fixed.device)
+        identity = _IDENTITY[:2, :2].to(fixed.device)
         if variance is None:
             return torch.where(fixed[:, None, None], fixes.covariances.double(), identity)
         return (variance * identity).expand(len(fixed), 2, 2)

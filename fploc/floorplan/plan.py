@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -39,6 +39,22 @@ class FloorPlan:
         """Write both rasters as PNG files (walls: 0 wall, 255 free)."""
         write_grey_image(grey_path, self.grey)
         write_grey_image(walls_path, np.where(self.walls, _WALL, _FREE).astype(np.uint8))
+
+
+    def blank(self) -> FloorPlan:
+        """Return the same sheet with nothing drawn on it: what an image adds is measured against it."""
+        return replace(
+            self,
+            name=f"{self.name}, blank",
+            grey=np.full_like(self.grey, _FREE),
+            walls=np.zeros_like(self.walls),
+        )
+
+    def placed_as(self, other: FloorPlan) -> FloorPlan:
+        """Return this drawing in the place of ``other``, top-left corner on top-left corner, scale kept."""
+        corner_m = other.georeference.to_metres([-0.5, -0.5])
+        metres_per_pixel = 1.0 / self.georeference.pixels_per_metre
+        return replace(self, georeference=Georeference.of_raster(corner_m, metres_per_pixel))
 
 
 def read_grey_image(path: Path) -> Grey:

@@ -44,9 +44,7 @@ def radio_graph(intervals: Intervals, access_points: Tensor, first_estimates: Te
         receiver, sender = intervals.links.index
         sources, targets = torch.cat([sources, sender]), torch.cat([targets, receiver])
         ranges = intervals.links.ranges
-        between = torch.stack(
-            [ranges, intervals.links.rss, torch.zeros_like(ranges), torch.ones_like(ranges)], dim=-1
-        )
+        between = torch.stack([ranges, intervals.links.rss, torch.ones_like(ranges)], dim=-1)
         attributes = torch.cat([attributes, between])
     return Data(
         pos=torch.cat([first_estimates, access_points]),

@@ -46,7 +46,7 @@ def solve_linear(
     sigmas: Tensor,
     heard: Tensor,
     *,
-    reference: Tensor,
+    reference: Tensor | None = None,
     settings: LinearSettings = LinearSettings(),
 ) -> Estimate:
     """Solve the unweighted linear system against a reference access point.
@@ -59,15 +59,16 @@ def solve_linear(
         access_points: Positions, shape (A, 2), metres, site frame.
         sigmas: Standard deviation of each range, shape (B, A), metres.
         heard: True where the access point answered, shape (B, A).
-        reference: Index of each row's reference, shape (B,); it must be heard.
+        reference: Index of each row's reference, shape (B,), which must be heard; None for the nearest.
         settings: Guards.
 
     Returns:
         Estimate with positions (B, 2) and covariances (B, 2, 2). No fix with fewer than three ranges, with
         access points on one line, and where the solution is out of the reference's reach.
     """
-    index = reference[:, None]
-    origin = access_points[reference]
+    chosen = nearest_access_points(ranges, heard) if reference is None else reference
+    index = chosen[:, None]
+    origin = access_points[chosen]
     reference_range = ranges.gather(1, index)
     used = heard.scatter(1, index, False)
     arms = torch.where(used[..., None], access_points - origin[:, None, :], 0.0)

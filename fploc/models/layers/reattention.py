@@ -6,6 +6,8 @@ import torch
 from timm.layers import LayerNorm2d
 from torch import Tensor, nn
 
+from fploc.errors import UnknownNameError
+
 
 def attention_maps(queries: Tensor, keys: Tensor, valid: Tensor) -> Tensor:
     """Return softmax(QKᵀ/√d) over the valid keys.
@@ -54,6 +56,9 @@ class ReAttention(nn.Module):
         attn_drop: Dropout rate of the maps.
         proj_drop: Dropout rate after the projection.
 
+    Raises:
+        UnknownNameError: If there is no such norm.
+
     Shapes:
         - **input:** tokens (B, N, D), valid (B, N)
         - **output:** (B, N, D)
@@ -75,6 +80,10 @@ class ReAttention(nn.Module):
         self.qkv = nn.Linear(dim, 3 * num_heads * head_dim, bias=qkv_bias)
         self.theta = nn.Parameter(near_identity(num_heads))
         norms = {"batch": nn.BatchNorm2d, "layer": LayerNorm2d, "none": nn.Identity}
+        if norm not in norms:
+            raise UnknownNameError(
+                "norm of re-attention", norm, known=list(norms), way_out="correct `attention_norm`"
+            )
         self.norm = norms[norm](num_heads)
         self.attn_drop = nn.Dropout(attn_drop)
         self.proj = nn.Linear(num_heads * head_dim, dim)
@@ -87,8 +96,8 @@ class ReAttention(nn.Module):
             self.qkv(tokens).reshape(B, N, 3, self.num_heads, self.head_dim).permute(2, 0, 3, 1, 4)
         )
         maps = self.maps(queries, keys, valid)
-        attended = (self.attn_drop(maps) @ values).transpose(1, 2).reshape(B, N, -1)
-        projected: Tensor = self.proj_drop(self.proj(attended))
+        attended = (self.attn_drop(maps) @ values).transpose(1, 2)
+        projected: Tensor = self.proj_drop(self.proj(attended.flatten(2)))
         return projected
 
     def maps(self, queries: Tensor, keys: Tensor, valid: Tensor) -> Tensor:

@@ -1,0 +1,61 @@
+"""The paper's own results, as data (Yu et al., tables, figures and text; paper_numbers.tsv)."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from importlib import resources
+
+KALMAN_SUFFIX = "+kf"
+
+
+@dataclass(frozen=True)
+class PaperNumber:
+    """One published figure.
+
+    Args:
+        experiment: As the paper groups it.
+        site: Name of the site; empty where none is meant.
+        device: 1 or 2; None where none is meant.
+        method: Name of the method; ``+kf`` behind it means with the Kalman filter.
+        metric: Name of the metric, as in result records.
+        value: As published, a number or a bound such as ``>1.5``.
+        note: What a reader should know.
+    """
+
+    experiment: str
+    site: str
+    device: int | None
+    method: str
+    metric: str
+    value: str
+    note: str
+
+
+def paper_numbers() -> list[PaperNumber]:
+    """Return every published figure, in the paper's order."""
+    text = (resources.files("fploc.evaluation") / "paper_numbers.tsv").read_text(encoding="utf-8")
+    return [
+        PaperNumber(
+            experiment=row["experiment"],
+            site=row["site"] or "",
+            device=int(row["device"]) if row["device"] else None,
+            method=row["method"],
+            metric=row["metric"],
+            value=row["value"],
+            note=row["note"] or "",
+        )
+        for row in csv.DictReader(text.splitlines(), delimiter="\t")
+    ]
+
+
+def published(method: str, site: str, device: int, *, filtered: bool, metric: str) -> list[PaperNumber]:
+    """Return what the paper says of a method without training on the target, zero-shot rows first."""
+    name = f"{method}{KALMAN_SUFFIX}" if filtered else method
+    rows = [
+        row
+        for row in paper_numbers()
+        if (row.method, row.site, row.device, row.metric) == (name, site, device, metric)
+        and row.experiment in ("zero-shot", "two devices")
+    ]
+    return sorted(rows, key=lambda row: row.experiment != "zero-shot")

@@ -1,0 +1,430 @@
+"""``make reproduce``: get data, train, evaluate, tabulate; resumes stage by stage."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from datamodules.measured import MeasuredDataModule
+from fploc.artifacts import Artifact, ArtifactKey, load_artifact
+from fploc.datasets.packed import PackedSite, read_packed
+from fploc.evaluation.evaluate import EvaluationRequest, records_of, tracks_of
+from fploc.evaluation.metrics import held_errors_m
+from fploc.evaluation.protocols import protocol_of
+from fploc.evaluation.records import Record
+from fploc.evaluation.report import TrackedRecord, comparison_rows, page
+from fploc.evaluation.revision import running_commit
+from fploc.evaluation.run_log import RunLog
+from fploc.experiments.duration import announce_duration
+from fploc.experiments.preset import Preset, read_preset
+from fploc.experiments.scoring import (
+    LEARNED_METHODS,
+    METHODS,
+    artifacts_folder,
+    data_hash,
+    ready_method,
+    reproduce_command,
+)
+from fploc.experiments.stages import Stage, StageBook
+from fploc.experiments.training import (
+    chain_artifacts,
+    fit_dropout,
+    synthetic_data,
+    train_chain,
+    train_generator,
+    trained_from,
+    virtual_site,
+)
+from fploc.experiments.world import World, prepare_world
+from fploc.localizer import Track
+from fploc.models.generator import Generator
+from fploc.plots.results import plot_cdf, plot_tracks
+from fploc.progress import print_table
+from fploc.virtual.dropout import Dropout
+
+EXPERIMENT = "fploc"
+FIGURE_LABELS = "repaired"
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """One thing to score: a method at a site, as one run of the log."""
+
+    method: str
+    protocol: str
+    site: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Name of its stage, file and run."""
+        return f"{self.protocol}--{self.site}--{self.method}--seed-{self.seed}"
+
+
+class Reproduction:
+    """All stages of one preset.
+
+    Args:
+        preset: What to train and evaluate.
+        world: What to do it on.
+        data_root: Folder of packed sites.
+        runs: Folder of everything written.
+    """
+
+    def __init__(self, preset: Preset, world: World, data_root: Path, runs: Path) -> None:
+        self.preset = preset
+        self.world = world
+        self.data_root = data_root
+        self.runs = runs
+        self.folder = runs / (f"{preset.name}-made-up" if world.made_up else preset.name)
+        self.artifacts = artifacts_folder(runs)
+        self.packed = {site: read_packed(data_root, site) for site in (world.source, *world.targets)}
+        self.measured = MeasuredDataModule(
+            data_root=data_root,
+            site=world.source,
+            calibration=preset.calibration,
+            labels=preset.labels,
+            batch_size=preset.batch_intervals,
+            batches=preset.batches_per_epoch,
+        )
+        self.measured.setup()
+        self.log = RunLog(runs, EXPERIMENT)
+
+    def stages(self) -> list[Stage]:
+        """Return every stage in order."""
+        trainings = [stage for seed in self.preset.seeds for stage in self._training_stages(seed)]
+        scorings = [self._scoring_stage(scoring) for scoring in self._scorings()]
+        return [*trainings, *scorings, self._report_stage(scorings)]
+
+    def _training_stages(self, seed: int) -> Iterator[Stage]:
+        source = self.world.source
+        yield self._stage(
+            f"train--generator--seed-{seed}",
+            [source],
+            [self._key("generator", "seen", source, seed).folder(self.artifacts)],
+            lambda: self._train_generator(seed),
+        )
+        yield self._stage(
+            f"train--{source}--seed-{seed}",
+            [source],
+            [self._key("gnn-fpdnn", "seen", source, seed).folder(self.artifacts)],
+            lambda: self._train_on_source(seed),
+        )
+        for target in self.world.targets:
+            yield self._stage(
+                f"train--{target}--seed-{seed}",
+                [source, target],
+                [self._key("gnn-fpdnn", "zero-shot", target, seed).folder(self.artifacts)],
+                lambda target=target: self._adapt(target, seed),  # type: ignore[misc]
+            )
+
+    def _scorings(self) -> Iterator[Scoring]:
+        places = [("seen", self.world.source), *(("zero-shot", target) for target in self.world.targets)]
+        for protocol, site in places:
+            for method in METHODS:
+                seeds = self.preset.seeds if method in LEARNED_METHODS else self.preset.seeds[:1]
+                for seed in seeds:
+                    yield Scoring(method, protocol, site, seed)
+
+    def _scoring_stage(self, scoring: Scoring) -> Stage:
+        return self._stage(
+            f"score--{scoring.name}",
+            [self.world.source, scoring.site],
+            [self._records_file(scoring)],
+            lambda: self._score(scoring),
+        )
+
+    def _report_stage(self, scorings: Sequence[Stage]) -> Stage:
+        return Stage(
+            name="report",
+            inputs=[stage.key for stage in scorings],
+            outputs=[self.folder / "records.jsonl", self.folder / "results.md"],
+            run=self._report,
+        )
+
+    def _stage(self, name: str, sites: Sequence[str], outputs: Sequence[Path], run: object) -> Stage:
+        hashes = [self.packed[site].manifest_hash for site in sites]
+        return Stage(name=name, inputs=[self.preset.fingerprint, *hashes], outputs=outputs, run=run)  # type: ignore[arg-type]
+
+    def _key(self, method: str, protocol: str, target: str, seed: int) -> ArtifactKey:
+        return ArtifactKey(method, protocol, target, self.preset.name, seed)
+
+    def _load(self, method: str, protocol: str, target: str, seed: int) -> Artifact:
+        return load_artifact(
+            self.artifacts,
+            self._key(method, protocol, target, seed),
+            data_hash=self._data_hash(target),
+            command=reproduce_command(self.preset.name),
+        )
+
+    def _data_hash(self, target: str) -> str:
+        return data_hash(self.packed[self.world.source], self.packed[target])
+
+    def _train_generator(self, seed: int) -> None:
+        source = self.world.source
+        logger = self.log.training_logger(
+            f"train generator ({source})", self._tags("training", "seen", source, seed)
+        )
+        generator, metrics = train_generator(
+            self.preset, self.measured, seed, logger=logger, folder=self.folder
+        )
+        recordings = self.measured.recordings("train")
+        dropout = fit_dropout(recordings, self.packed[source].site, self.preset.labels)
+        Artifact(
+            key=self._key("generator", "seen", source, seed),
+            specs={"generator": self.preset.network_specs["generator"]},
+            networks={"generator": generator},
+            constants={"heard_shares": list(dropout.heard_shares), "validation": metrics},
+            data_hash=self._data_hash(source),
+            recordings=tuple(f"{one.site}/{one.name}" for one in recordings),
+            command=reproduce_command(self.preset.name),
+        ).save(self.artifacts)
+
+    def _train_on_source(self, seed: int) -> None:
+        self._train(self.world.source, "seen", seed)
+
+    def _adapt(self, target: str, seed: int) -> None:
+        self._train(target, "zero-shot", seed)
+
+    def _train(self, target: str, protocol: str, seed: int) -> None:
+        artifact = self._load("generator", "seen", self.world.source, seed)
+        generator = artifact.networks["generator"]
+        assert isinstance(generator, Generator)
+        dropout = Dropout(tuple(artifact.constants["heard_shares"]))
+        start = (
+            None
+            if protocol == "seen"
+            else trained_from(self._load("gnn-fpdnn", "seen", self.world.source, seed))
+        )
+        logger = self.log.training_logger(
+            f"train chain ({target})", self._tags("training", protocol, target, seed)
+        )
+        trained = train_chain(
+            self.preset,
+            self.measured,
+            synthetic_data(
+                virtual_site(self.packed[target], generator, dropout, self.preset), self.preset, seed
+            ),
+            seed,
+            start=start,
+            logger=logger,
+            folder=self.folder,
+        )
+        for made in chain_artifacts(
+            trained,
+            self.preset,
+            self.measured,
+            protocol=protocol,
+            target=target,
+            seed=seed,
+            data_hash=self._data_hash(target),
+            command=reproduce_command(self.preset.name),
+        ):
+            made.save(self.artifacts)
+
+    def _score(self, scoring: Scoring) -> None:
+        request = EvaluationRequest(
+            protocol=scoring.protocol,
+            site=scoring.site,
+            source=self.world.source,
+            calibration=self.preset.calibration,
+            thin=self.preset.thin,
+            preset=self.preset.name,
+            seed=scoring.seed,
+        )
+        ready = ready_method(scoring.method, request, None, self.data_root, self.runs)
+        tracks = tracks_of(ready.method, request, self.data_root, offsets=ready.offsets)
+        records = records_of(scoring.method, request, tracks, artifact=ready.artifact)
+        run_id = self._record_run(scoring, records, tracks)
+        file = self._records_file(scoring)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        errors = {
+            f"device{device}": np.concatenate(
+                [
+                    held_errors_m(track.filtered or track.unfiltered, track.recording.labels_m(FIGURE_LABELS))
+                    for track in tracks
+                    if track.recording.device == device
+                ]
+            )
+            for device in sorted({track.recording.device for track in tracks})
+        }
+        np.savez_compressed(file.with_suffix(".npz"), **errors)  # type: ignore[arg-type]
+        tracked = [
+            TrackedRecord(record, run_id, self._data_hash(scoring.site), self.world.made_up)
+            for record in records
+        ]
+        part = file.with_suffix(".part")
+        part.write_text("".join(json.dumps(one.as_json()) + "\n" for one in tracked))
+        part.replace(file)
+
+    def _record_run(self, scoring: Scoring, records: Sequence[Record], tracks: Sequence[Track]) -> str:
+        kind = (
+            protocol_of(scoring.protocol, self.world.source).kind
+            if scoring.method in LEARNED_METHODS
+            else "baseline"
+        )
+        packed = self.packed[scoring.site]
+        metrics = {
+            f"device{record.device}.{record.labels}.{record.filter}.{name}": value
+            for record in records
+            for name, value in asdict(record).items()
+            if isinstance(value, float) and name not in ("speed_prior",)
+        }
+        figures = {
+            f"cdf-device{device}.png": plot_cdf(
+                _errors_by_filter([track for track in tracks if track.recording.device == device]),
+                f"{scoring.method}, {scoring.site}, device {device}",
+                made_up=self.world.made_up,
+            )
+            for device in sorted({record.device for record in records})
+        }
+        figures |= {
+            f"track-device{track.recording.device}.png": _track_figure(track, packed, scoring.method)
+            for track in _first_of_each_device(tracks)
+        }
+        folders = {}
+        if scoring.method in LEARNED_METHODS:
+            key = self._key(scoring.method, scoring.protocol, scoring.site, scoring.seed)
+            folders["model"] = key.folder(self.artifacts)
+        return self.log.record(
+            f"{scoring.method} · {scoring.protocol} · {scoring.site}",
+            tags=self._tags(kind, scoring.protocol, scoring.site, scoring.seed) | {"method": scoring.method},
+            parameters={
+                "method": scoring.method,
+                "protocol": scoring.protocol,
+                "site": scoring.site,
+                "seed": scoring.seed,
+                "preset": self.preset.name,
+                "thin": self.preset.thin,
+                "calibration": records[0].calibration,
+                "speed_prior_mps": records[0].speed_prior,
+                "data_hash": self._data_hash(scoring.site),
+            },
+            metrics=metrics,
+            figures=figures,
+            folders=folders,
+        )
+
+    def _report(self) -> None:
+        scorings = list(self._scorings())
+        lines = [self._records_file(scoring).read_text() for scoring in scorings]
+        tracked = [tracked_record(line) for text in lines for line in text.splitlines()]
+        figures = self.folder / "figures"
+        figures.mkdir(parents=True, exist_ok=True)
+        for protocol, site in dict.fromkeys((one.protocol, one.site) for one in scorings):
+            there = [one for one in scorings if (one.protocol, one.site) == (protocol, site)]
+            errors = {
+                one.method: np.load(self._records_file(one).with_suffix(".npz"))
+                for one in there
+                if one.seed == self.preset.seeds[0]
+            }
+            for device in next(iter(errors.values())).files:
+                figure = plot_cdf(
+                    {method: stored[device] for method, stored in errors.items()},
+                    f"{protocol}, {site}, {device}, Kalman filter, {FIGURE_LABELS} labels",
+                    made_up=self.world.made_up,
+                )
+                figure.savefig(figures / f"cdf--{protocol}--{site}--{device}.png", dpi=120)
+        (self.folder / "records.jsonl").write_text("".join(lines))
+        (self.folder / "results.md").write_text(
+            page(tracked, preset=self.preset.name, commit=running_commit())
+        )
+
+    def _records_file(self, scoring: Scoring) -> Path:
+        return self.folder / "scores" / f"{scoring.name}.jsonl"
+
+    def _tags(self, kind: str, protocol: str, target: str, seed: int) -> dict[str, str]:
+        return {
+            "kind": kind,
+            "protocol": protocol,
+            "site": target,
+            "seed": str(seed),
+            "preset": self.preset.name,
+            "data": "made-up" if self.world.made_up else "public",
+            "data_hash": self._data_hash(target),
+            "commit": running_commit() or "unknown",
+        }
+
+
+def reproduce(
+    preset_name: str, data_root: Path, source: Path | None, runs: Path, targets: Sequence[str] | None
+) -> None:
+    """Run every stage of a preset that is not done yet, print the comparison and where everything lies.
+
+    Args:
+        preset_name: ``smoke``, ``default``, ``full`` or ``paper``.
+        data_root: Folder of the data.
+        source: Local copy of the public files; None looks at FPLOC_SOURCE, the cache, then GitHub.
+        runs: Folder of everything written.
+        targets: Sites to test on instead of the preset's; None keeps these.
+
+    Raises:
+        FplocError: For any bad input.
+    """
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    warnings.filterwarnings("ignore", module="lightning|torch|mlflow")
+    preset = read_preset(preset_name)
+    world = prepare_world(data_root, source, preset.targets if targets is None else targets)
+    reproduction = Reproduction(preset, world, data_root, runs)
+    announce_duration(preset, reproduction.measured, len(world.targets))
+    StageBook(reproduction.folder / "stages").run(reproduction.stages())
+    records = (reproduction.folder / "records.jsonl").read_text().splitlines()
+    tracked = [tracked_record(line) for line in records]
+    title = "MADE-UP BUILDINGS, no real data" if world.made_up else "public data"
+    print(f"\nPreset {preset.name}, {title}, {FIGURE_LABELS} labels, metres:")  # noqa: T201
+    print_table(comparison_rows(tracked, labels=FIGURE_LABELS))
+    for name, path in {
+        "results": reproduction.folder / "results.md",
+        "records": reproduction.folder / "records.jsonl",
+        "figures": reproduction.folder / "figures",
+        "artifacts": reproduction.artifacts / preset.name,
+        "MLflow": f"{reproduction.log.uri} (look at it with `make ui`)",
+    }.items():
+        print(f"{name:>10}: {path}")  # noqa: T201
+    sys.stdout.flush()
+
+
+def tracked_record(line: str) -> TrackedRecord:
+    """Return the record of one line of a records file."""
+    values = json.loads(line)
+    own = {name: values.pop(name) for name in ("run_id", "data_hash", "made_up")}
+    return TrackedRecord(Record(**values), **own)
+
+
+def _errors_by_filter(tracks: Sequence[Track]) -> dict[str, np.ndarray]:
+    def errors(filtered: bool) -> np.ndarray:
+        return np.concatenate(
+            [
+                held_errors_m(
+                    track.filtered if filtered and track.filtered is not None else track.unfiltered,
+                    track.recording.labels_m(FIGURE_LABELS),
+                )
+                for track in tracks
+            ]
+        )
+
+    return {"unfiltered": errors(False), "Kalman filter": errors(True)}
+
+
+def _first_of_each_device(tracks: Sequence[Track]) -> list[Track]:
+    return list({track.recording.device: track for track in reversed(tracks)}.values())[::-1]
+
+
+def _track_figure(track: Track, packed: PackedSite, method: str):  # type: ignore[no-untyped-def]
+    paths = {"unfiltered": track.unfiltered.positions_m}
+    if track.filtered is not None:
+        paths["Kalman filter"] = track.filtered.positions_m
+    return plot_tracks(
+        packed.plan,
+        packed.site,
+        track.recording.labels_m(FIGURE_LABELS),
+        paths,
+        f"{method}, {packed.site.name} {track.recording.name}",
+    )

@@ -1,0 +1,159 @@
+"""Methods ready to run at a site: geometric ones from nothing, learned ones out of their artifact."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from fploc.artifacts import Artifact, ArtifactKey, load_artifact
+from fploc.calibration.offsets import RangeOffsets
+from fploc.datasets.packed import PackedSite, read_packed
+from fploc.errors import FplocError
+from fploc.evaluation.evaluate import EvaluationRequest, evaluate, source_offsets
+from fploc.evaluation.protocols import protocol_of
+from fploc.evaluation.records import Record
+from fploc.experiments.preset import PRESETS
+from fploc.experiments.training import trained_from
+from fploc.filters.kalman import KalmanSettings
+from fploc.floorplan.plan import FloorPlan
+from fploc.floorplan.raster import PlanRaster
+from fploc.methods.gnn import GNNMethod
+from fploc.methods.gnn_fpdnn import GNNFPDNN
+from fploc.methods.interface import Method
+from fploc.methods.one_shot import RangeSolver
+from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
+from fploc.solvers.linear import solve_linear
+from fploc.solvers.nonlinear import solve_nonlinear
+
+LEARNED_METHODS = ("gnn", "gnn-fpdnn")
+METHODS = (*GEOMETRIC_METHODS, *LEARNED_METHODS)
+DEFAULT_CALIBRATION = "source-los"
+SOLVERS: dict[str, RangeSolver] = {"lls": solve_linear, "nls": solve_nonlinear}
+
+
+@dataclass(frozen=True)
+class ReadyMethod:
+    """A method that can run at its target.
+
+    Args:
+        method: The method.
+        offsets: Range offsets to remove first.
+        artifact: Name of what was trained; None where nothing was.
+    """
+
+    method: Method
+    offsets: RangeOffsets
+    artifact: str | None
+
+
+def data_hash(*packed: PackedSite) -> str:
+    """Return one hash that stands for the data of several packed sites."""
+    return hashlib.sha256("".join(site.manifest_hash for site in packed).encode()).hexdigest()
+
+
+def reproduce_command(preset: str) -> str:
+    """Return the command that makes the artifacts of a preset."""
+    return f"fploc reproduce --preset {preset}"
+
+
+def artifacts_folder(runs: Path) -> Path:
+    """Return the folder of artifacts below the folder of runs."""
+    return runs / "artifacts"
+
+
+def ready_method(
+    name: str, request: EvaluationRequest, calibration: str | None, data_root: Path, runs: Path
+) -> ReadyMethod:
+    """Return the method ``name`` for the target of ``request``.
+
+    Args:
+        name: Of the method.
+        request: What is asked of it.
+        calibration: As asked for; None takes the artifact's, or ``source-los`` for geometric methods.
+        data_root: Folder of packed sites.
+        runs: Folder of runs.
+
+    Raises:
+        UnknownNameError: If there is no such method.
+        MissingArtifactError: If a learned method's artifact is not there.
+        FplocError: If the plan that was asked for cannot be used.
+    """
+    if name not in LEARNED_METHODS:
+        return ReadyMethod(geometric_method(name), source_offsets(request, data_root), artifact=None)
+    protocol = protocol_of(request.protocol, request.source)
+    protocol.check_target(request.site)
+    source, target = read_packed(data_root, protocol.source), read_packed(data_root, request.site)
+    key = ArtifactKey(name, protocol.name, request.site, request.preset, request.seed)
+    artifact = load_artifact(
+        artifacts_folder(runs),
+        key,
+        data_hash=data_hash(source, target),
+        command=reproduce_command(request.preset),
+    )
+    offsets = offsets_of(artifact) if calibration is None else source_offsets(request, data_root)
+    plan = chosen_plan(request.plan, target, data_root)
+    return ReadyMethod(
+        learned_method(artifact, plan),
+        offsets,
+        artifact=str(key.folder(Path())),
+    )
+
+
+def learned_method(artifact: Artifact, plan: FloorPlan) -> Method:
+    """Return the method that an artifact holds, on a plan."""
+    if artifact.key.method == "gnn":
+        gnn = artifact.networks["gnn"]
+        return GNNMethod(gnn, float(artifact.constants["variance_m2"]))  # type: ignore[arg-type]
+    trained = trained_from(artifact)
+    return GNNFPDNN(
+        coarse=GNNMethod(trained.gnn, trained.variance_m2),
+        network=trained.fpdnn,
+        plan=PlanRaster.of(plan),
+        crops=trained.fpdnn.vision.crops,
+        solver=SOLVERS[artifact.constants["solver"]],
+        sigma_m=trained.sigma_m,
+        filter_settings=KalmanSettings(),
+    )
+
+
+def offsets_of(artifact: Artifact) -> RangeOffsets:
+    """Return the range offsets that an artifact was trained behind."""
+    stored = artifact.constants["offsets"]
+    return RangeOffsets(**{**stored, "recordings": tuple(stored["recordings"])})
+
+
+def chosen_plan(name: str, target: PackedSite, data_root: Path) -> FloorPlan:
+    """Return the plan that a method is to see.
+
+    Args:
+        name: ``real``, ``blank`` (nothing is drawn on it) or another packed site, whose plan is laid over
+            the target corner to corner.
+        target: The target.
+        data_root: Folder of packed sites.
+
+    Raises:
+        MissingFileError: If the other site is not packed.
+    """
+    if name == "real":
+        return target.plan
+    if name == "blank":
+        return target.plan.blank()
+    return read_packed(data_root, name).plan.placed_as(target.plan)
+
+
+def answer(
+    name: str, request: EvaluationRequest, calibration: str | None, data_root: Path, runs: Path
+) -> list[Record]:
+    """Return the records of `fploc evaluate`.
+
+    Raises:
+        FplocError: If an option cannot be used, or data or artifact are not there.
+    """
+    request.check()
+    if request.preset not in PRESETS:
+        raise FplocError(
+            "--preset", value=request.preset, expected=", ".join(PRESETS), way_out="choose one of these"
+        )
+    ready = ready_method(name, request, calibration, data_root, runs)
+    return evaluate(ready.method, request, data_root, offsets=ready.offsets, artifact=ready.artifact)

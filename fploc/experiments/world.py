@@ -1,0 +1,83 @@
+"""What a reproduction runs on: the public sites, or made-up buildings where these cannot be had."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fploc.datasets.build import build_sites
+from fploc.datasets.download import UnreachableError, resolve_source
+from fploc.datasets.source_files import split_by_presence
+from fploc.errors import FplocError
+from fploc.evaluation.protocols import PUBLIC_SOURCE
+from fploc.progress import track
+from fploc.sites.made_up import made_up_site
+
+MADE_UP_SEEDS = (1, 2, 3)
+MADE_UP_LAPS = 5
+
+
+@dataclass(frozen=True)
+class World:
+    """Sites to learn from and to test on.
+
+    Args:
+        source: Packed site that everything is learned on.
+        targets: Packed sites that are tested zero-shot.
+        made_up: True where the buildings are made up.
+    """
+
+    source: str
+    targets: tuple[str, ...]
+    made_up: bool
+
+
+def prepare_world(data_root: Path, given: Path | None, targets: Sequence[str]) -> World:
+    """Get the data of the source and of ``targets`` and pack them; made-up buildings where there is no way.
+
+    Raises:
+        FplocError: If a named source is unusable, or a file is not what it should be.
+    """
+    sites = [PUBLIC_SOURCE, *targets]
+    try:
+        source = resolve_source(data_root, given, sites)
+    except UnreachableError as error:
+        _say(
+            "\n"
+            "  ┌─ No data ─────────────────────────────────────────────────────────────────\n"
+            f"  │ {error}\n"
+            "  │ Going on with MADE-UP BUILDINGS: every table, figure and run says so.\n"
+            "  │ For the real data: connect to the network, or set FPLOC_SOURCE to a copy.\n"
+            "  └───────────────────────────────────────────────────────────────────────────\n"
+        )
+        return _made_up_world(data_root)
+    present, absent = split_by_presence(source, sites)
+    if PUBLIC_SOURCE not in present:
+        raise FplocError(
+            str(source),
+            value=f"no recording of {PUBLIC_SOURCE}",
+            expected=f"the recordings of {PUBLIC_SOURCE}, which everything is learned on",
+            way_out="complete the copy, or unset FPLOC_SOURCE",
+        )
+    if absent:
+        _say(f"skipped, since {source} has no recording of them: {', '.join(absent)}")
+    for site in track(present, "build"):
+        build_sites(source, data_root, [site])
+    return World(PUBLIC_SOURCE, tuple(site for site in targets if site in present), made_up=False)
+
+
+def _made_up_world(data_root: Path) -> World:
+    folder = data_root / "made-up"
+    names = []
+    for seed in track(MADE_UP_SEEDS, "made-up buildings"):
+        file = folder / f"made-up-{seed}.yaml"
+        if not file.is_file():
+            made_up_site(seed, folder, laps=MADE_UP_LAPS)
+        names.append(build_sites(None, data_root, [file])[0].site)
+    return World(names[0], tuple(names[1:]), made_up=True)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)  # noqa: T201
