@@ -1,0 +1,151 @@
+"""Every YAML of conf/ through the code that reads it."""
+
+from __future__ import annotations
+
+import shlex
+
+import pytest
+import torch
+
+from fploc.conf import conf_folder, instantiate, read_conf
+from fploc.experiments.preset import PRESETS, read_preset
+from fploc.floorplan.raster import PlanRaster
+from fploc.graphs.radio_graph import radio_graph
+from fploc.methods.interface import Intervals
+from fploc.models.deepvit import CROP_WIDTH_M, DeepViT
+from fploc.models.fpdnn import FPDNN
+from fploc.models.generator import Generator
+from fploc.models.gnn import GNN
+from fploc.sites.registry import known_sites
+
+LONGEST_LINK_M = 40.0
+
+
+def names(group: str) -> list[str]:
+    files = [entry.name for entry in (conf_folder() / group).iterdir()]
+    assert all(name.endswith(".yaml") for name in files)
+    return sorted(name.removesuffix(".yaml") for name in files)
+
+
+def made(name: str) -> torch.nn.Module:
+    torch.manual_seed(0)
+    return instantiate(torch.nn.Module, read_conf("model", name)).eval()
+
+
+def parameters(network: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def check_crops(vision: DeepViT) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return images and lengths of one link of 1.3 m, at the network's own resolution."""
+    crops = vision.crops
+    assert crops.pixels_per_metre * CROP_WIDTH_M == vision.crop_height_px
+    assert crops.max_length_px / crops.pixels_per_metre >= LONGEST_LINK_M
+    plan = PlanRaster(
+        ink=torch.eye(60), pixels_from_metres=torch.tensor([[10.0, 0.0, 0.0], [0.0, -10.0, 59.0]])
+    )
+    cropped = crops.crop(plan, torch.tensor([[2.0, 3.0]]), torch.tensor([[3.3, 3.0]]))
+    assert cropped.images.shape[-2] == vision.crop_height_px
+    return cropped.images, cropped.lengths_px
+
+
+@pytest.mark.parametrize("name", names("model"))
+@torch.no_grad()
+def test_every_model_runs_on_input_of_its_own_size(name: str) -> None:
+    network = made(name)
+    match network:
+        case FPDNN():
+            images, lengths_px = check_crops(network.vision)
+            distances = network(images, lengths_px, torch.tensor([2.0]), torch.tensor([-50.0]))
+            assert distances.shape == (1,) and float(distances) >= 0
+        case Generator():
+            images, lengths_px = check_crops(network.vision)
+            errors, rss = network(images, lengths_px, torch.tensor([1.3])).sample(torch.Generator())
+            assert torch.isfinite(torch.cat([errors, rss])).all()
+        case GNN():
+            access_points = torch.tensor([[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]])
+            heard = torch.tensor([[True, True, True], [True, False, False]])
+            intervals = Intervals(
+                t_s=torch.zeros(2, dtype=torch.float64),
+                ranges=3.0 * heard,
+                stds=torch.zeros(2, 3),
+                rss=-50.0 * heard,
+                heard=heard,
+                present=torch.ones(2, dtype=torch.bool),
+            )
+            positions = network(radio_graph(intervals, access_points, torch.ones(2, 2)))
+            assert positions.shape == (2, 2) and torch.isfinite(positions).all()
+        case _:
+            pytest.fail(f"no check for {type(network).__name__} in this test")
+
+
+def test_paper_networks_have_the_published_sizes() -> None:
+    fpdnn = made("fpdnn-paper")
+    assert isinstance(fpdnn, FPDNN)
+    vision = fpdnn.vision
+    assert vision.crops.pixels_per_metre == 64.0 and vision.patch_px == (32, 32)
+    assert (vision.embed.in_features, vision.embed.out_features) == (1024, 512)
+    (block,) = vision.blocks
+    assert (block.attention.num_heads, block.attention.head_dim) == (2, 64)
+    assert vision.head[1].out_features == 32 and fpdnn.ffnn1[0].in_features == 2
+    generator = made("generator-paper")
+    assert isinstance(generator, Generator)
+    assert parameters(generator.vision) == parameters(vision)
+
+
+def test_small_networks_are_smaller_than_the_published_ones() -> None:
+    for name in ("fpdnn", "generator"):
+        assert 10 * parameters(made(name)) < parameters(made(f"{name}-paper"))
+
+
+@pytest.mark.parametrize("name", names("experiment"))
+def test_every_preset_is_read_and_names_what_exists(name: str) -> None:
+    preset = read_preset(name)
+    assert preset.name == name
+    kinds = {part: instantiate(torch.nn.Module, spec) for part, spec in preset.network_specs.items()}
+    assert {part: type(network) for part, network in kinds.items()} == {
+        "generator": Generator,
+        "gnn": GNN,
+        "fpdnn": FPDNN,
+    }
+    assert preset.solver in {"lls", "nls"} and preset.labels in {"published", "repaired"}
+    assert set(preset.targets) <= set(known_sites()) - {"office"}
+    assert set(preset.epochs) == {"generator", "gnn", "fpdnn", "gnn_adapted", "fpdnn_adapted"}
+    assert set(preset.learning_rates) == {"generator", "gnn", "fpdnn"}
+    counts = [
+        *preset.seeds,
+        *preset.epochs.values(),
+        preset.batch_intervals,
+        preset.batches_per_epoch,
+        preset.thin,
+    ]
+    assert all(type(count) is int for count in counts) and min(preset.epochs.values()) > 0
+    assert len(set(preset.seeds)) == len(preset.seeds) > 0
+    assert 0.0 <= preset.random_layout_share <= 1.0
+    assert all(0 < rate < 1 for rate in preset.learning_rates.values())
+
+
+@pytest.mark.parametrize("name", names("experiment"))
+def test_every_experiment_begins_with_the_command_that_runs_it(name: str) -> None:
+    first = (conf_folder() / "experiment" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()[0]
+    assert first.startswith("# ")
+    assert shlex.split(first.removeprefix("# ")) in (
+        ["fploc", "reproduce", "--preset", name],
+        ["fploc", "fit", "--config", f"conf/experiment/{name}.yaml"],
+    )
+
+
+def test_presets_are_the_experiments_that_reproduce_runs() -> None:
+    assert set(PRESETS) <= set(names("experiment"))
+
+
+def test_fingerprints_tell_presets_apart_and_stay() -> None:
+    prints = [read_preset(name).fingerprint for name in PRESETS]
+    assert len(set(prints)) == len(PRESETS)
+    assert prints == [read_preset(name).fingerprint for name in PRESETS]
+
+
+def test_paper_preset_trains_as_published() -> None:
+    preset = read_preset("paper")
+    assert set(preset.epochs.values()) == {50} and preset.solver == "lls"
+    assert preset.learning_rates == {"generator": 1e-3, "gnn": 2e-4, "fpdnn": 1e-3}

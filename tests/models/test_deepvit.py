@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from fploc.models.deepvit import DeepViT, split_and_flatten, valid_columns
+
+HEIGHT, PATCH = 8, (4, 5)
+
+
+def network(norm: str = "batch", depth: int = 2) -> DeepViT:
+    torch.manual_seed(0)
+    made = DeepViT(
+        crop_height_px=HEIGHT,
+        max_length_px=40,
+        patch_px=PATCH,
+        dim=12,
+        depth=depth,
+        num_heads=2,
+        head_dim=4,
+        mlp_ratio=2.0,
+        features=6,
+        attention_norm=norm,
+    ).eval()
+    # Statistics as after a training, so that padding could be seen if it got in.
+    for module in made.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.running_mean.uniform_(0.0, 0.3)
+            module.running_var.uniform_(0.02, 0.2)
+    return made
+
+
+def crops(lengths: list[int], width: int, seed: int = 1) -> tuple[Tensor, Tensor]:
+    """Drawings that end at their lengths, as ``crop_links`` makes them."""
+    images = torch.rand(len(lengths), 1, HEIGHT, width, generator=torch.Generator().manual_seed(seed))
+    lengths_px = torch.tensor(lengths)
+    return images * (torch.arange(width) < lengths_px[:, None])[:, None, None, :], lengths_px
+
+
+def test_patches_are_flattened_row_by_row() -> None:
+    """The paper's s = [I_11, I_12, …, I_1P, I_21, …, I_PP] of each mini-image."""
+    image = torch.arange(HEIGHT * 15, dtype=torch.float32).reshape(1, 1, HEIGHT, 15)
+    patches = split_and_flatten(image, PATCH)
+    assert patches.shape == (1, 2, 3, 20)
+    for row in range(2):
+        for column in range(3):
+            expected = [float(image[0, 0, row * 4 + i, column * 5 + j]) for i in range(4) for j in range(5)]
+            assert patches[0, row, column].tolist() == expected
+
+
+def test_a_patch_column_is_valid_where_it_starts_inside_the_crop() -> None:
+    valid = valid_columns(torch.tensor([0, 1, 5, 6, 15, 99]), 5, 3)
+    assert valid.tolist() == [
+        [True, False, False],
+        [True, False, False],
+        [True, False, False],
+        [True, True, False],
+        [True, True, True],
+        [True, True, True],
+    ]
+
+
+@pytest.mark.parametrize("norm", ["batch", "layer", "none"])
+@torch.no_grad()
+def test_padding_further_changes_nothing(norm: str) -> None:
+    vision = network(norm)
+    images, lengths_px = crops([3, 10, 17, 20], 20)
+    expected = vision(images, lengths_px)
+    assert expected.std(0).max() > 0
+    for width in (25, 40):
+        padded = torch.nn.functional.pad(images, (0, width - 20))
+        torch.testing.assert_close(vision(padded, lengths_px), expected)
+    torch.testing.assert_close(vision(images[:1, :, :, :5], lengths_px[:1]), expected[:1])
+
+
+@torch.no_grad()
+def test_ink_in_padded_columns_is_not_seen() -> None:
+    vision = network()
+    images, lengths_px = crops([5, 12], 20)
+    scribbled = images.clone()
+    scribbled[0, :, :, 5:] = 1.0
+    scribbled[1, :, :, 15:] = 1.0
+    torch.testing.assert_close(vision(scribbled, lengths_px), vision(images, lengths_px))
+    scribbled[0, :, :, :5] = 1.0
+    assert not torch.allclose(vision(scribbled, lengths_px)[0], vision(images, lengths_px)[0])
+
+
+def test_mean_is_over_valid_patches_without_the_class_token() -> None:
+    tokens = torch.tensor([[[1e9], [1.0], [2.0], [6.0], [1e9]], [[1e9], [5.0], [1e9], [1e9], [1e9]]])
+    valid = torch.tensor([[True, True, True, True, False], [True, True, False, False, False]])
+    assert DeepViT.mean_over_patches(tokens, valid).flatten().tolist() == [3.0, 5.0]
+
+
+@torch.no_grad()
+def test_class_token_takes_part_in_attention_only() -> None:
+    images, lengths_px = crops([12, 20], 20)
+    blind, seeing = network(depth=0), network(depth=1)
+    for vision, is_seen in ((blind, False), (seeing, True)):
+        before = vision(images, lengths_px)
+        vision.class_token.normal_(std=5.0)
+        changed = not torch.allclose(vision(images, lengths_px), before)
+        assert changed == is_seen
+
+
+@torch.no_grad()
+def test_tokens_are_class_token_and_patches_with_their_positions() -> None:
+    vision = network()
+    images, lengths_px = crops([12], 15)
+    tokens, valid = vision.tokens(images, lengths_px)
+    assert tokens.shape == (1, 1 + 2 * 3, 12) and valid.tolist() == [[True] * 7]
+    torch.testing.assert_close(tokens[0, 0], (vision.class_token + vision.class_position)[0, 0])
+    # The second row's third column is token 1 + 3 + 2.
+    patch = vision.embed(images[0, 0, 4:8, 10:15].flatten())
+    torch.testing.assert_close(tokens[0, 6], patch + vision.patch_positions[0, 1, 2])
+
+
+def test_places_along_the_link_are_told_apart() -> None:
+    """The same wall near the access point and near the device gives different features."""
+    vision = network()
+    near, far = torch.zeros(2, 1, 1, HEIGHT, 20)
+    near[..., 1], far[..., 16] = 1.0, 1.0
+    length = torch.tensor([20])
+    assert not torch.allclose(vision(near, length), vision(far, length))
+
+
+def test_crops_are_4_m_wide_and_as_long_as_the_position_embedding() -> None:
+    crops = network().crops
+    assert (crops.pixels_per_metre, crops.width_m) == (2.0, 4.0)
+    assert (crops.max_length_px, crops.patch_length_px) == (40, 5)
+
+
+def test_gradients_reach_every_parameter() -> None:
+    vision = network().train()
+    images, lengths_px = crops([3, 10, 17, 40], 40)
+    vision(images, lengths_px).sum().backward()
+    for name, parameter in vision.named_parameters():
+        assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name
+
+
+def test_images_longer_than_the_position_embedding_are_refused() -> None:
+    images, lengths_px = crops([45], 45)
+    with pytest.raises(RuntimeError):
+        network()(images, lengths_px)

@@ -1,0 +1,171 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fploc.filters.kalman import KalmanSettings
+from fploc.floorplan.raster import PlanRaster
+from fploc.methods.gnn import GNNMethod
+from fploc.methods.gnn_fpdnn import GNNFPDNN
+from fploc.methods.interface import Intervals, NoFix
+from fploc.models.deepvit import DeepViT
+from fploc.models.fpdnn import FPDNN, CorrectionHead, DistanceHead, ffnn, normalised_measurement
+from fploc.models.gnn import GNN
+from fploc.sites.site import AccessPoint, Site
+from fploc.solvers.nonlinear import solve_nonlinear
+
+CORNERS = ((0.0, 0.0), (12.0, 1.0), (11.0, 9.0), (1.0, 10.0))
+
+
+def network(head: torch.nn.Module) -> FPDNN:
+    torch.manual_seed(0)
+    vision = DeepViT(
+        crop_height_px=8, max_length_px=40, patch_px=(8, 4), dim=8, depth=1, num_heads=2, head_dim=4
+    )
+    return FPDNN(vision, head).eval()
+
+
+def links(number: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    random = torch.Generator().manual_seed(2)
+    images = torch.rand(number, 1, 8, 40, generator=random)
+    lengths_px = torch.randint(1, 41, (number,), generator=random)
+    return images, lengths_px, 30 * torch.rand(number, generator=random), torch.full((number,), -70.0)
+
+
+@torch.no_grad()
+def test_correction_starts_as_no_correction() -> None:
+    images, lengths_px, ranges, rss = links(9)
+    assert torch.equal(network(CorrectionHead(64))(images, lengths_px, ranges, rss), ranges)
+
+
+@torch.no_grad()
+def test_correction_is_subtracted_and_ends_at_zero() -> None:
+    head = CorrectionHead(3)
+    head.layers[-1].bias.fill_(2.0)
+    assert head(torch.rand(3, 3), torch.tensor([0.5, 2.0, 7.0])).tolist() == [0.0, 0.0, 5.0]
+
+
+def test_correction_can_be_learned_from_its_start() -> None:
+    head = CorrectionHead(3)
+    head(torch.rand(5, 3), torch.full((5,), 4.0)).square().sum().backward()
+    assert head.layers[-1].weight.grad.abs().max() > 0
+
+
+def test_bare_distance_is_never_negative_and_keeps_its_gradient() -> None:
+    torch.manual_seed(0)
+    head = DistanceHead(16)
+    features = (100 * torch.randn(400, 16)).requires_grad_()
+    distances = head(features, torch.zeros(400))
+    assert distances.shape == (400,) and distances.min() >= 0
+    with torch.no_grad():
+        head.layers[-2].bias.fill_(-3.0)
+    negative = head(features, torch.zeros(400))
+    negative.sum().backward()
+    assert features.grad.abs().sum(-1).min() > 0
+
+
+@pytest.mark.parametrize("head", [CorrectionHead, DistanceHead])
+@torch.no_grad()
+def test_order_of_links_does_not_matter(head: type[torch.nn.Module]) -> None:
+    fpdnn = network(head(64))
+    torch.nn.init.normal_(fpdnn.head.layers[2].weight)
+    inputs = links(8)
+    turned = torch.randperm(8, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(fpdnn(*(part[turned] for part in inputs)), fpdnn(*inputs)[turned])
+
+
+@torch.no_grad()
+def test_distance_depends_on_crop_range_and_signal_strength() -> None:
+    fpdnn = network(DistanceHead(64))
+    images, lengths_px, ranges, rss = links(1)
+    distance = fpdnn(images, lengths_px, ranges, rss)
+    for changed in (
+        (1 - images, lengths_px, ranges, rss),
+        (images, lengths_px, ranges + 5, rss),
+        (images, lengths_px, ranges, rss + 20),
+    ):
+        assert not torch.allclose(fpdnn(*changed), distance)
+
+
+def test_measurement_is_centred_and_scaled() -> None:
+    scaled = normalised_measurement(torch.tensor([10.0, 30.0]), torch.tensor([-65.0, -85.0]))
+    assert scaled.tolist() == [[0.0, 0.0], [2.0, -2.0]]
+
+
+def test_ffnn1_has_the_published_layers() -> None:
+    kinds = [type(layer).__name__ for layer in ffnn(2, 64, 32, 0.2)]
+    assert kinds == ["Linear", "ReLU", "LayerNorm", "Linear", "ReLU", "Dropout"]
+    first, second = (layer for layer in ffnn(2, 64, 32, 0.2) if isinstance(layer, torch.nn.Linear))
+    assert (first.in_features, first.out_features, second.out_features) == (2, 64, 32)
+
+
+def chain(head: torch.nn.Module) -> GNNFPDNN:
+    fpdnn = network(head)
+    plan = PlanRaster(
+        ink=torch.zeros(120, 140), pixels_from_metres=torch.tensor([[10.0, 0, 5], [0, -10.0, 110]])
+    )
+    return GNNFPDNN(
+        GNNMethod(GNN(hidden=8, message_width=2, layers=1).eval(), variance_m2=1.0),
+        fpdnn,
+        plan,
+        fpdnn.vision.crops,
+        solve_nonlinear,
+        sigma_m=0.5,
+        filter_settings=KalmanSettings(),
+    )
+
+
+def site() -> Site:
+    points = tuple(
+        AccessPoint(f"AP{i}", f"00:00:00:00:00:0{i}", x, y, 2.0) for i, (x, y) in enumerate(CORNERS)
+    )
+    return Site("hall", "hall", points, device_height_m=2.0)
+
+
+def noise_free(truth: Tensor, heard: Tensor) -> Intervals:
+    ranges = (truth[:, None] - torch.tensor(CORNERS)).norm(dim=-1) * heard
+    return Intervals(
+        t_s=torch.zeros(len(truth), dtype=torch.float64),
+        ranges=ranges,
+        stds=torch.zeros_like(ranges),
+        rss=-60.0 * heard,
+        heard=heard,
+        present=torch.ones(len(truth), dtype=torch.bool),
+    )
+
+
+def test_chain_gives_back_positions_from_noise_free_ranges() -> None:
+    truth = torch.tensor([[3.0, 4.0], [6.0, 2.0], [9.0, 8.0], [5.0, 5.0]])
+    heard = torch.tensor([[True] * 4, [True, True, True, False], [True, False, False, False], [False] * 4])
+    method = chain(CorrectionHead(64))
+    _, found = method.step(method.init(site(), 4), noise_free(truth, heard))
+    assert found.reasons.tolist() == [NoFix.FIXED, NoFix.FIXED, NoFix.TOO_FEW_RANGES, NoFix.NO_READING]
+    np.testing.assert_allclose(found.positions[:2], truth[:2], atol=1e-4)
+    assert found.positions[2:].isnan().all()
+
+
+def test_chain_corrects_heard_ranges_of_devices_with_a_coarse_position_only() -> None:
+    truth = torch.tensor([[3.0, 4.0], [6.0, 2.0]])
+    heard = torch.tensor([[True, True, False, True], [True, True, False, False]])
+    method = chain(CorrectionHead(64))
+    with torch.no_grad():
+        method.network.head.layers[-1].bias.fill_(0.5)
+    intervals = noise_free(truth, heard)
+    state = method.init(site(), 2)
+    _, coarse = method.coarse.step(state.access_points, intervals)
+    assert coarse.fixed.tolist() == [True, False]
+    with torch.no_grad():
+        corrected = method.corrected_ranges(intervals, state.access_points, coarse)
+    expected = intervals.ranges.double()
+    expected[0] -= 0.5 * heard[0]
+    np.testing.assert_allclose(corrected, expected, atol=1e-6)
+
+
+def test_chain_without_any_reading_finds_nothing() -> None:
+    method = chain(CorrectionHead(64))
+    _, found = method.step(
+        method.init(site(), 2), noise_free(torch.ones(2, 2), torch.zeros(2, 4, dtype=torch.bool))
+    )
+    assert found.reasons.tolist() == [NoFix.NO_READING] * 2
