@@ -23,7 +23,13 @@ MACS = {
     "AP8": "14:22:3b:16:5a:bd",
 }
 # AP lists of these sites number their six access points 1 to 6.
-COMPACT_SHEETS = {"AP_idx_Canteen", "AP_idx_CarPark", "AP_idx_Library", "AP_idx_library", "AP_idx_Shopping Mall"}
+COMPACT_SHEETS = {
+    "AP_idx_Canteen",
+    "AP_idx_CarPark",
+    "AP_idx_Library",
+    "AP_idx_library",
+    "AP_idx_Shopping Mall",
+}
 
 SITES = pytest.mark.parametrize("name", known_sites())
 
@@ -83,16 +89,19 @@ def test_coordinates_are_those_of_the_ap_lists(name: str, source: Path) -> None:
     for path in present:
         sheet = read_ap_sheet(path)
         compact = path.stem in COMPACT_SHEETS and len(sheet.access_points) == len(names)
-        at = [
-            sheet.access_points[f"AP{index}" if compact else ap] for index, ap in enumerate(names, start=1)
-        ]
+        at = [sheet.access_points[f"AP{index}" if compact else ap] for index, ap in enumerate(names, start=1)]
         np.testing.assert_allclose(spec.site.positions_m, at, err_msg=str(path))
         assert sheet.macs == {} or sheet.macs == dict(zip(names, spec.site.macs, strict=True))
 
 
 def test_held_out_sites_list_their_recordings() -> None:
     canteen, carpark = load_spec("canteen"), load_spec("carpark")
-    assert [(r.device, r.name) for r in carpark.recordings] == [(1, "513"), (1, "613"), (2, "524"), (2, "624")]
+    assert [(r.device, r.name) for r in carpark.recordings] == [
+        (1, "513"),
+        (1, "613"),
+        (2, "524"),
+        (2, "624"),
+    ]
     assert len(canteen.recordings) == 16 and len(canteen.links) == 8
     assert carpark.true_distance_faults == ("AP2", "AP5")
 

@@ -1,0 +1,59 @@
+# Targets for newcomers: `make reproduce` and `make test`; `make help` lists all.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PRESET ?= default
+DATA ?= data
+RUNS ?= runs
+
+# Small batches on few cores: one thread each is faster than threads that wait for each other spinning.
+export OMP_NUM_THREADS ?= 1
+export MLFLOW_DISABLE_TELEMETRY := true
+export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
+
+.DEFAULT_GOAL := help
+.PHONY: help install reproduce test lint ui notebooks describe lock wheel clean
+
+help: ## List every target
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
+
+install: $(VENV)/installed ## Create the environment in .venv and install everything (3 to 5 minutes)
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	@echo "Installing into $(VENV): 3 to 5 minutes, about 7 GB"
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all,dev]'
+	@touch $@
+
+reproduce: install ## Get data, train, evaluate, tabulate; PRESET=smoke|default|full|paper; resumes
+	@$(BIN)/fploc reproduce --preset $(PRESET) --data-root $(DATA) --runs $(RUNS)
+
+test: install ## Run the whole test suite (under 15 minutes)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile
+
+lint: install ## Format check, lint, types, direction of imports
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+ui: install ## Open the MLflow comparison on http://127.0.0.1:5000
+	@$(BIN)/mlflow server --backend-store-uri sqlite:///$(abspath $(RUNS))/mlflow.db \
+		--default-artifact-root $(abspath $(RUNS))/mlflow-artifacts --host 127.0.0.1 --port 5000 --workers 1
+
+notebooks: install ## Execute the notebooks on the results under runs/
+	@FPLOC_RUNS=$(abspath $(RUNS)) $(BIN)/python -m pytest --nbmake notebooks -o testpaths=notebooks
+
+describe: install ## Count what the packed sites hold and draw them
+	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/overlays
+
+lock: install ## Resolve the ranges of pyproject.toml anew and write constraints.txt
+	@$(BIN)/python -m pip install --quiet --upgrade -e '.[all,dev]'
+	@$(BIN)/python -m pip freeze --exclude-editable --exclude fploc | grep -E '^[A-Za-z0-9._-]+==' > constraints.txt
+
+wheel: install ## Build the wheel into dist/
+	@$(BIN)/python -m build --wheel --outdir dist
+
+clean: ## Remove the environment and everything made (not the data)
+	rm -rf $(VENV) build dist runs .pytest_cache .mypy_cache .ruff_cache
