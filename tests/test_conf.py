@@ -8,7 +8,7 @@ import torch
 
 import fploc.conf
 from fploc.conf import conf_folder, instantiate, read_conf
-from fploc.errors import BadFileError, UnknownNameError
+from fploc.errors import BadFileError, FplocError, UnknownNameError
 from fploc.experiments.preset import read_preset
 from fploc.models.fpdnn import FPDNN, CorrectionHead
 from fploc.models.gnn import GNN
@@ -103,6 +103,14 @@ def test_wrong_specs_are_refused_by_name(spec: dict[str, Any], named: str) -> No
 def test_errors_of_the_class_itself_come_through() -> None:
     with pytest.raises(UnknownNameError, match="norm of re-attention: found 'group'"):
         instantiate(torch.nn.Module, changed(VISION_SPEC, attention_norm="group"))
+
+
+@pytest.mark.parametrize("patch_px", [[20, 7], [6, 10]])
+def test_patches_that_do_not_divide_the_crop_are_refused(patch_px: list[int]) -> None:
+    with pytest.raises(
+        FplocError, match=r"patch_px of DeepViT: found .* expected divisors of crop_height_px 20"
+    ):
+        instantiate(torch.nn.Module, changed(VISION_SPEC, patch_px=patch_px))
 
 
 def test_unknown_preset_lists_the_known_ones() -> None:

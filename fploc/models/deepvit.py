@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import torch
-from timm.layers import DropPath, Mlp, trunc_normal_
+from timm.layers.drop import DropPath
+from timm.layers.mlp import Mlp
+from timm.layers.weight_init import trunc_normal_
 from torch import Tensor, nn
 
+from fploc.errors import FplocError
 from fploc.floorplan.raster import CropSettings
 from fploc.models.layers.reattention import ReAttention
 
@@ -85,6 +88,9 @@ class DeepViT(nn.Module):
         drop: Dropout rate.
         drop_path: Stochastic depth rate.
 
+    Raises:
+        FplocError: If the patches do not divide the crop.
+
     Shapes:
         - **input:** images (B, 1, H, W) with 1 = drawn and W ≤ ``max_length_px`` a multiple of the patch
           length; lengths_px (B,)
@@ -112,7 +118,13 @@ class DeepViT(nn.Module):
         self.patch_px = patch_px
         self.rows = crop_height_px // patch_px[0]
         self.columns = max_length_px // patch_px[1]
-        assert self.rows * patch_px[0] == crop_height_px and self.columns * patch_px[1] == max_length_px
+        if (self.rows * patch_px[0], self.columns * patch_px[1]) != (crop_height_px, max_length_px):
+            raise FplocError(
+                "patch_px of DeepViT",
+                value=f"{patch_px[0]} × {patch_px[1]}",
+                expected=f"divisors of crop_height_px {crop_height_px} and max_length_px {max_length_px}",
+                way_out="change `patch_px` or the size of the crop",
+            )
         self.embed = nn.Linear(patch_px[0] * patch_px[1], dim)
         self.class_token = nn.Parameter(torch.zeros(1, 1, dim))
         self.class_position = nn.Parameter(torch.zeros(1, 1, dim))
