@@ -5,17 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import lightning.pytorch as pl
-import torch
 from torch.utils.data import DataLoader
 
 from fploc.calibration.offsets import RangeOffsets, fit_offsets
+from fploc.calibration.ranges import calibrated_plan_ranges
 from fploc.datasets.build import build_sites
 from fploc.datasets.download import resolve_source
 from fploc.datasets.loaders import ordered_batches, random_batches
 from fploc.datasets.packed import PackedSite, packed_folder, read_packed
 from fploc.datasets.recordings import Recording
 from fploc.datasets.samples import LabelledIntervals, MeasuredIntervals
-from fploc.localizer import plan_ranges
 
 VALIDATION_BATCH = 256
 
@@ -84,11 +83,7 @@ class MeasuredDataModule(pl.LightningDataModule):
         assert self.packed is not None and self.offsets is not None, "setup() comes first"
         recordings = self.recordings(part)
         site = self.packed.site
-        heights = torch.from_numpy(site.height_differences_m)
-        ranges = [
-            plan_ranges(torch.from_numpy(self.offsets.apply(one.slant_m, site.macs)), heights).numpy()
-            for one in recordings
-        ]
+        ranges = [calibrated_plan_ranges(one, site, self.offsets) for one in recordings]
         return MeasuredIntervals(recordings, ranges, site, self.packed.plan, self.labels)
 
     def train_dataloader(self) -> dict[str, DataLoader[LabelledIntervals]]:

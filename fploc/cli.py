@@ -124,9 +124,7 @@ def _evaluate_parser() -> ArgumentParser:
     parser.add_argument("--protocol", type=str, default="zero-shot", help="What it may have learned from.")
     parser.add_argument("--site", type=str, required=True, help="Packed site to score on.")
     parser.add_argument("--device", type=str, default="all", help="1, 2 or all.")
-    parser.add_argument(
-        "--calibration", type=str | None, default=None, help="none, source-los, … or metres."
-    )
+    parser.add_argument("--calibration", type=str | None, default=None, help="none, source-los, … or metres.")
     parser.add_argument("--labels", type=str, default="both", help="published, repaired or both.")
     parser.add_argument("--plan", type=str, default="real", help="real, blank or the name of another site.")
     parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")

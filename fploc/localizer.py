@@ -19,34 +19,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fploc.calibration.offsets import RangeOffsets
+from fploc.calibration.ranges import plan_ranges
 from fploc.datasets.recordings import PaddedRecordings, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
-from fploc.methods.interface import Estimate, Intervals, Method, NoFix
+from fploc.intervals import Estimate, Intervals, NoFix
+from fploc.methods.interface import Method
 from fploc.methods.one_shot import Memoryless
 from fploc.sites.site import Site
 
 ROWS_AT_ONCE = 4096
 """Intervals that a memoryless method solves in one call: bounds memory, not results."""
-
-
-def plan_ranges(slant_m: Tensor, height_differences_m: Tensor) -> Tensor:
-    """Project slant ranges to the plan: √max(0, d² − h²).
-
-    Args:
-        slant_m: Calibrated ranges in space, shape (…, A), metres.
-        height_differences_m: Height of each access point above the devices, shape (A,), metres.
-
-    Returns:
-        Shape (…, A), metres.
-    """
-    return (slant_m.clamp(min=0.0).square() - height_differences_m.square()).clamp(min=0.0).sqrt()
-
-
-def calibrated_plan_ranges(recording: Recording, site: Site, offsets: RangeOffsets) -> NDArray[np.float64]:
-    """Return a recording's ranges in the plan without their offset, shape (T, A), metres; 0 where not heard."""
-    calibrated = torch.from_numpy(offsets.apply(recording.slant_m, site.macs))
-    in_plan = plan_ranges(calibrated, torch.from_numpy(site.height_differences_m)).numpy()
-    return np.where(recording.heard, in_plan, 0.0)
 
 
 @dataclass(frozen=True)

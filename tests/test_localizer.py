@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from fploc.calibration.offsets import RangeOffsets
+from fploc.calibration.ranges import calibrated_plan_ranges, plan_ranges
 from fploc.datasets.recordings import Recording
 from fploc.filters.kalman import KalmanSettings
-from fploc.localizer import Localizer, Track, calibrated_plan_ranges, localize, plan_ranges
-from fploc.methods.interface import Estimate, Intervals, NoFix, estimate
+from fploc.intervals import Estimate, Intervals, NoFix, estimate
+from fploc.localizer import Localizer, Track, localize
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
 from fploc.sites.site import AccessPoint, Site
 

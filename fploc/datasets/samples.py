@@ -13,8 +13,7 @@ from torch.utils.data import Dataset
 from fploc.datasets.recordings import Floats, Recording
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.raster import PlanRaster
-from fploc.graphs.links import Links, links_of
-from fploc.methods.interface import Intervals
+from fploc.intervals import Intervals, Links, links_of
 from fploc.sites.site import Site
 
 FARTHEST_RANGE_M = 60.0

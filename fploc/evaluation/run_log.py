@@ -70,7 +70,9 @@ class RunLog:
         self._delete_earlier(name, tags)
         run = self._client.create_run(self._experiment, run_name=name, tags=dict(tags))
         run_id: str = run.info.run_id
-        finite = {key: value for key, value in metrics.items() if value == value and abs(value) < float("inf")}
+        finite = {
+            key: value for key, value in metrics.items() if value == value and abs(value) < float("inf")
+        }
         self._client.log_batch(
             run_id,
             metrics=[Metric(key, value, 0, 0) for key, value in finite.items()],
@@ -88,9 +90,7 @@ class RunLog:
         """Return a Lightning logger whose run holds the curves of one training."""
         from lightning.pytorch.loggers import MLFlowLogger
 
-        return MLFlowLogger(
-            experiment_name=self._name, run_name=name, tracking_uri=self.uri, tags=dict(tags)
-        )
+        return MLFlowLogger(experiment_name=self._name, run_name=name, tracking_uri=self.uri, tags=dict(tags))
 
     def _delete_earlier(self, name: str, tags: Mapping[str, str]) -> None:
         conditions = [f"attributes.run_name = '{name}'"]

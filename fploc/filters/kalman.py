@@ -21,7 +21,7 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fploc.methods.interface import Estimate, estimate
+from fploc.intervals import Estimate, estimate
 from fploc.solvers.planar import symmetric_inverse
 
 HEADLINE_SPEED_MPS = 0.5

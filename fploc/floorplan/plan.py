@@ -40,7 +40,6 @@ class FloorPlan:
         write_grey_image(grey_path, self.grey)
         write_grey_image(walls_path, np.where(self.walls, _WALL, _FREE).astype(np.uint8))
 
-
     def blank(self) -> FloorPlan:
         """Return the same sheet with nothing drawn on it: what an image adds is measured against it."""
         return replace(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from fploc.methods.interface import Intervals
+from fploc.intervals import Intervals
 from fploc.solvers.trilateration import solve_trilateration
 
 MARGIN_M = 5.0

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch_geometric.data import Data
 
-from fploc.methods.interface import Intervals
+from fploc.intervals import Intervals
 
 EDGE_FEATURES = ("range_m", "rss_dbm", "is_device_link")
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fploc.graphs.first_estimates import first_estimates
 from fploc.graphs.radio_graph import neighbours, radio_graph
-from fploc.methods.interface import Estimate, Intervals, NoFix, estimate
+from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.models.gnn import GNN
 from fploc.sites.site import Site
 

@@ -9,9 +9,8 @@ from torch import Tensor
 
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.floorplan.raster import CropSettings, PlanRaster
-from fploc.graphs.links import links_of
+from fploc.intervals import Estimate, Intervals, links_of
 from fploc.methods.gnn import GNNMethod
-from fploc.methods.interface import Estimate, Intervals
 from fploc.methods.one_shot import RangeSolver
 from fploc.models.fpdnn import FPDNN
 from fploc.sites.site import Site

@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
-from fploc.methods.interface import Estimate, Intervals
+from fploc.intervals import Estimate, Intervals
 from fploc.sites.site import Site
 
 

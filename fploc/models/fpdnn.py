@@ -22,6 +22,14 @@ def normalised_measurement(ranges: Tensor, rss: Tensor) -> Tensor:
     return torch.stack([ranges / RANGE_SCALE_M - 1.0, (rss - RSS_CENTRE_DBM) / RSS_SCALE_DB], dim=-1)
 
 
+def zero_linear(inputs: int, outputs: int) -> nn.Linear:
+    """Return a fully connected layer that puts out zeros until it has learned."""
+    layer = nn.Linear(inputs, outputs)
+    nn.init.zeros_(layer.weight)
+    nn.init.zeros_(layer.bias)
+    return layer
+
+
 def ffnn(inputs: int, hidden: int, outputs: int, drop: float) -> nn.Sequential:
     """Return two fully connected layers with ReLU, layer norm after the first, dropout after the second.
 
@@ -61,11 +69,8 @@ class CorrectionHead(nn.Module):
 
     def __init__(self, features: int, hidden: int = 32) -> None:
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Linear(features, hidden), nn.ReLU(), nn.LayerNorm(hidden), nn.Linear(hidden, 1)
-        )
-        nn.init.zeros_(self.layers[-1].weight)
-        nn.init.zeros_(self.layers[-1].bias)
+        last = zero_linear(hidden, 1)
+        self.layers = nn.Sequential(nn.Linear(features, hidden), nn.ReLU(), nn.LayerNorm(hidden), last)
 
     def forward(self, features: Tensor, ranges: Tensor) -> Tensor:
         """Return distances (B,) in metres from features (B, F) and ranges ζ (B,) in metres."""

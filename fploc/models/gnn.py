@@ -8,7 +8,7 @@ from torch_geometric.data import Data
 from torch_geometric.nn import MessagePassing
 from torch_geometric.utils import scatter
 
-from fploc.models.fpdnn import RANGE_SCALE_M, RSS_CENTRE_DBM, RSS_SCALE_DB
+from fploc.models.fpdnn import RANGE_SCALE_M, RSS_CENTRE_DBM, RSS_SCALE_DB, zero_linear
 
 NODE_FEATURES = 5
 EDGE_INPUTS = 4
@@ -54,10 +54,8 @@ class GNN(MessagePassing):
             nn.Linear(NODE_FEATURES + EDGE_INPUTS, hidden), nn.ReLU(), nn.Linear(hidden, message_width)
         )
         self.update_ffnn = nn.Sequential(
-            nn.Linear(DEVICE_FEATURES + message_width, hidden), nn.ReLU(), nn.Linear(hidden, 2)
+            nn.Linear(DEVICE_FEATURES + message_width, hidden), nn.ReLU(), zero_linear(hidden, 2)
         )
-        nn.init.zeros_(self.update_ffnn[-1].weight)
-        nn.init.zeros_(self.update_ffnn[-1].bias)
 
     def forward(self, graph: Data) -> Tensor:
         """Return the coarse positions of the devices of ``graph``; see the class for shapes."""

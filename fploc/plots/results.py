@@ -31,7 +31,9 @@ def plot_cdf(errors_m: Mapping[str, Floats], title: str, *, made_up: bool = Fals
         ordered = np.sort(errors[np.isfinite(errors)])
         shares = np.arange(1, len(ordered) + 1) / max(len(ordered), 1)
         axes.plot(ordered, shares, label=name, color=f"C{index}", linewidth=1.8)
-    axes.set(xlim=(0, LARGEST_ERROR_M), ylim=(0, 1), xlabel="localization error [m]", ylabel="share of intervals")
+    axes.set(
+        xlim=(0, LARGEST_ERROR_M), ylim=(0, 1), xlabel="localization error [m]", ylabel="share of intervals"
+    )
     axes.set_title(f"{title} ({MADE_UP})" if made_up else title)
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right")
@@ -58,7 +60,9 @@ def plot_tracks(
     for index, (name, track) in enumerate(tracks_m.items()):
         axes.plot(*track.T, ".", markersize=2.5, color=f"C{index}", label=name, alpha=0.6)
     axes.plot(*truth_m.T, color="black", linewidth=1.4, label="ground truth")
-    axes.plot(*site.positions_m.T, "*", color="crimson", markersize=11, label="access points", linestyle="none")
+    axes.plot(
+        *site.positions_m.T, "*", color="crimson", markersize=11, label="access points", linestyle="none"
+    )
     seen = np.concatenate([site.positions_m, truth_m[np.isfinite(truth_m).all(axis=1)]])
     low, high = seen.min(axis=0) - 4.0, seen.max(axis=0) + 4.0
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")

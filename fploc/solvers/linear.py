@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.methods.interface import Estimate, estimate
+from fploc.intervals import Estimate, estimate
 from fploc.solvers.planar import SMALLEST_SPREAD_RATIO, spread_ratios, symmetric_inverse
 from fploc.solvers.reasons import reasons_for
 

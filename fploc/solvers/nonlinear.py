@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.methods.interface import Estimate, estimate
+from fploc.intervals import Estimate, estimate
 from fploc.solvers.losses import Loss, SquaredLoss
 from fploc.solvers.planar import (
     SMALLEST_SPREAD_RATIO,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from fploc.methods.interface import NoFix
+from fploc.intervals import NoFix
 
 FEWEST_RANGES = 3
 

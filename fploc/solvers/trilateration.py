@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.methods.interface import Estimate, estimate
+from fploc.intervals import Estimate, estimate
 from fploc.solvers.linear import LinearSettings, solve_linear
 from fploc.solvers.reasons import FEWEST_RANGES, reasons_for
 

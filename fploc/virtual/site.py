@@ -12,7 +12,7 @@ from fploc.datasets.samples import LabelledIntervals
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.raster import CropSettings, PlanRaster
 from fploc.floorplan.walls import free_space, line_of_sight
-from fploc.methods.interface import DeviceLinks, Intervals
+from fploc.intervals import DeviceLinks, Intervals
 from fploc.models.generator import Generator
 from fploc.sites.site import Site
 from fploc.virtual.dropout import Dropout

@@ -11,7 +11,7 @@ from fploc.conf import conf_folder, instantiate, read_conf
 from fploc.experiments.preset import PRESETS, read_preset
 from fploc.floorplan.raster import PlanRaster
 from fploc.graphs.radio_graph import radio_graph
-from fploc.methods.interface import Intervals
+from fploc.intervals import Intervals
 from fploc.models.deepvit import CROP_WIDTH_M, DeepViT
 from fploc.models.fpdnn import FPDNN
 from fploc.models.generator import Generator

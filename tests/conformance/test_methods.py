@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from fploc.errors import UnknownNameError
-from fploc.methods.interface import Intervals, NoFix
+from fploc.intervals import Intervals, NoFix
 from fploc.methods.one_shot import Memoryless
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
 from fploc.sites.site import AccessPoint, Site

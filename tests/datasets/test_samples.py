@@ -12,7 +12,7 @@ from fploc.datasets.recordings import Recording
 from fploc.datasets.samples import FARTHEST_RANGE_M, LabelledIntervals, MeasuredIntervals
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
-from fploc.methods.interface import DeviceLinks
+from fploc.intervals import DeviceLinks
 from fploc.sites.site import AccessPoint, Site
 
 SITE = Site(

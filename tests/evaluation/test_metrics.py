@@ -13,8 +13,8 @@ from fploc.evaluation.metrics import (
     normalised_errors,
     score,
 )
+from fploc.intervals import NoFix
 from fploc.localizer import Path
-from fploc.methods.interface import NoFix
 
 NAN = float("nan")
 

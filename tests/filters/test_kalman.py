@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, TrackFilter, process_noise, transition
-from fploc.methods.interface import Estimate, NoFix, estimate
+from fploc.intervals import Estimate, NoFix, estimate
 
 STEPS, DEVICES = 80, 5
 SETTINGS = [

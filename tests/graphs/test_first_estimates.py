@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from fploc.graphs.first_estimates import MARGIN_M, first_estimates
-from fploc.methods.interface import Intervals
+from fploc.intervals import Intervals
 
 
 def intervals(ranges: Tensor, heard: Tensor) -> Intervals:

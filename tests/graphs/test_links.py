@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from fploc.graphs.links import links_of
-from fploc.methods.interface import Intervals
+from fploc.intervals import Intervals, links_of
 
 
 def test_links_stand_in_the_order_of_the_mask() -> None:

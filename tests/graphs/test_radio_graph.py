@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from fploc.graphs.radio_graph import neighbours, radio_graph
-from fploc.methods.interface import DeviceLinks, Intervals
+from fploc.intervals import DeviceLinks, Intervals
 
 ACCESS_POINTS = torch.tensor([[0.0, 0.0], [10.0, 0.0], [0.0, 8.0]])
 FIRST = torch.tensor([[1.0, 1.0], [5.0, 5.0]])

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from fploc.methods.interface import Intervals
+from fploc.intervals import Intervals
 from fploc.methods.lls import lls
 from fploc.sites.site import AccessPoint, Site
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from fploc.methods.interface import Intervals, NoFix
+from fploc.intervals import Intervals, NoFix
 from fploc.methods.nls import nls
 from fploc.sites.site import AccessPoint, Site
 

@@ -7,9 +7,9 @@ from torch import Tensor
 
 from fploc.filters.kalman import KalmanSettings
 from fploc.floorplan.raster import PlanRaster
+from fploc.intervals import Intervals, NoFix
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
-from fploc.methods.interface import Intervals, NoFix
 from fploc.models.deepvit import DeepViT
 from fploc.models.fpdnn import FPDNN, CorrectionHead, DistanceHead, ffnn, normalised_measurement
 from fploc.models.gnn import GNN

@@ -10,8 +10,8 @@ from torch import Tensor
 from fploc.conf import instantiate, read_conf
 from fploc.graphs.first_estimates import first_estimates
 from fploc.graphs.radio_graph import radio_graph
+from fploc.intervals import DeviceLinks, Intervals, NoFix
 from fploc.methods.gnn import GNNMethod, reasons_for_neighbours
-from fploc.methods.interface import DeviceLinks, Intervals, NoFix
 from fploc.models.gnn import GNN, LARGEST_RESIDUAL_M, unit_vectors
 from fploc.sites.site import AccessPoint, Site
 

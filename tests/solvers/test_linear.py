@@ -5,7 +5,7 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fploc.methods.interface import Estimate, NoFix
+from fploc.intervals import Estimate, NoFix
 from fploc.solvers.linear import LinearSettings, nearest_access_points, solve_linear
 from fploc.solvers.planar import spread_ratios
 

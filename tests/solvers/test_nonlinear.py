@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from fploc.methods.interface import Estimate, NoFix
+from fploc.intervals import Estimate, NoFix
 from fploc.solvers.losses import SquaredLoss
 from fploc.solvers.nonlinear import NonlinearSettings, solve_nonlinear
 from fploc.solvers.planar import spread_ratios

@@ -5,7 +5,7 @@ import torch
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fploc.methods.interface import Estimate, NoFix
+from fploc.intervals import Estimate, NoFix
 from fploc.solvers.trilateration import solve_trilateration
 
 SQUARE = torch.tensor([[0.0, 0.0], [20.0, 0.0], [20.0, 15.0], [0.0, 15.0], [9.0, 7.0]], dtype=torch.float64)

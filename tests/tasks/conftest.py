@@ -9,7 +9,7 @@ import torch
 
 from fploc.datasets.samples import LabelledIntervals
 from fploc.floorplan.raster import PlanRaster
-from fploc.methods.interface import DeviceLinks, Intervals
+from fploc.intervals import DeviceLinks, Intervals
 
 ACCESS_POINTS = torch.tensor([[0.0, 0.0], [16.0, 0.0], [16.0, 10.0], [0.0, 10.0], [7.0, 6.0]])
 

@@ -1,0 +1,121 @@
+"""Intervals of a batch of devices, their links, and estimates made from them: what flows between all parts.
+
+Axes: B devices (every recording of every device is one entry of the batch), A access points, L device links.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import torch
+from torch import Tensor
+
+
+class NoFix(IntEnum):
+    """Why an estimate holds no position; ``FIXED`` says that it does."""
+
+    FIXED = 0
+    NO_READING = 1
+    TOO_FEW_RANGES = 2
+    DEGENERATE_GEOMETRY = 3
+
+
+@dataclass(frozen=True)
+class DeviceLinks:
+    """Ranges between devices of one batch.
+
+    Args:
+        index: Receiving and sending device, shape (2, L), int64.
+        ranges: Range, shape (L,), metres.
+        rss: Received signal strength, shape (L,), dBm.
+    """
+
+    index: Tensor
+    ranges: Tensor
+    rss: Tensor
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """One interval of each device of a batch.
+
+    Args:
+        t_s: Device time, shape (B,), seconds.
+        ranges: Calibrated range in the plan, shape (B, A), metres; 0 where ``heard`` is False.
+        stds: The phone's own spread of each range, shape (B, A), metres; 0 where unknown.
+        rss: Received signal strength, shape (B, A), dBm; 0 where ``heard`` is False.
+        heard: True where the access point answered with a range, shape (B, A).
+        present: True where the device has an interval at this step, shape (B,): shorter recordings
+            end before longer ones. Absent devices keep their state.
+        links: Ranges between the devices, or None.
+    """
+
+    t_s: Tensor
+    ranges: Tensor
+    stds: Tensor
+    rss: Tensor
+    heard: Tensor
+    present: Tensor
+    links: DeviceLinks | None = None
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Positions of a batch of devices.
+
+    Args:
+        positions: Shape (B, 2), metres, site frame; NaN where there is no fix.
+        covariances: Shape (B, 2, 2), square metres; NaN where there is no fix.
+        reasons: ``NoFix`` of each device, shape (B,), int64.
+    """
+
+    positions: Tensor
+    covariances: Tensor
+    reasons: Tensor
+
+    @property
+    def fixed(self) -> Tensor:
+        """True where there is a position, shape (B,)."""
+        return self.reasons == NoFix.FIXED
+
+
+def estimate(positions: Tensor, covariances: Tensor, reasons: Tensor) -> Estimate:
+    """Return an ``Estimate`` whose entries without a fix are NaN, and whose non-finite ones are no fix."""
+    finite = torch.isfinite(positions).all(-1) & torch.isfinite(covariances).all((-1, -2))
+    reasons = torch.where((reasons == NoFix.FIXED) & ~finite, int(NoFix.DEGENERATE_GEOMETRY), reasons)
+    fixed = reasons == NoFix.FIXED
+    nan = torch.full((), torch.nan, dtype=positions.dtype, device=positions.device)
+    return Estimate(
+        positions=torch.where(fixed[:, None], positions, nan),
+        covariances=torch.where(fixed[:, None, None], covariances, nan),
+        reasons=reasons,
+    )
+
+
+@dataclass(frozen=True)
+class Links:
+    """Device–AP pairs of a batch.
+
+    Args:
+        device: Index of the device, shape (L,), int64.
+        access_points: Position of the access point, shape (L, 2), metres, site frame.
+        ranges: Calibrated range in the plan, ζ, shape (L,), metres.
+        rss: Received signal strength, γ, shape (L,), dBm.
+    """
+
+    device: Tensor
+    access_points: Tensor
+    ranges: Tensor
+    rss: Tensor
+
+
+def links_of(intervals: Intervals, access_points: Tensor) -> Links:
+    """Return the links of B devices that heard A access points at ``access_points`` (A, 2), metres."""
+    device, access_point = torch.nonzero(intervals.heard, as_tuple=True)
+    return Links(
+        device=device,
+        access_points=access_points[access_point],
+        ranges=intervals.ranges[device, access_point],
+        rss=intervals.rss[device, access_point],
+    )
