@@ -53,8 +53,13 @@ def read_conf(group: str, name: str) -> dict[str, Any]:
     return document
 
 
-def instantiate(kind: type[Made], spec: dict[str, Any]) -> Made:
+def instantiate(kind: type[Made], spec: dict[str, Any], *, source: str = "configuration") -> Made:
     """Return the object that ``class_path`` and ``init_args`` of ``spec`` describe.
+
+    Args:
+        kind: Class that the object must have.
+        spec: Its description.
+        source: Where the description stands, for messages.
 
     Raises:
         BadFileError: If an argument is unknown, missing or of the wrong type.
@@ -64,12 +69,12 @@ def instantiate(kind: type[Made], spec: dict[str, Any]) -> Made:
     parser = ArgumentParser(exit_on_error=False)
     parser.add_argument("--made", type=kind)
     try:
-        return parser.instantiate_classes(parser.parse_object({"made": spec})).made  # type: ignore[no-any-return]
+        return parser.instantiate(parser.parse_object({"made": spec})).made
     except ArgumentError as error:
         raise BadFileError(
-            str(spec.get("class_path")),
-            "init_args",
-            value=" ".join(str(error).split()),
+            source,
+            f"{spec.get('class_path')}, init_args",
+            value=" ".join(str(error).replace("made.", "").split()),
             expected=f"what {kind.__name__} takes",
             way_out="correct the configuration",
         ) from error

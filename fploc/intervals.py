@@ -35,6 +35,10 @@ class DeviceLinks:
     ranges: Tensor
     rss: Tensor
 
+    def to(self, device: torch.device | str) -> DeviceLinks:
+        """Return the links on ``device``."""
+        return DeviceLinks(self.index.to(device), self.ranges.to(device), self.rss.to(device))
+
 
 @dataclass(frozen=True)
 class Intervals:
@@ -58,6 +62,18 @@ class Intervals:
     heard: Tensor
     present: Tensor
     links: DeviceLinks | None = None
+
+    def to(self, device: torch.device | str) -> Intervals:
+        """Return the intervals on ``device``."""
+        return Intervals(
+            t_s=self.t_s.to(device),
+            ranges=self.ranges.to(device),
+            stds=self.stds.to(device),
+            rss=self.rss.to(device),
+            heard=self.heard.to(device),
+            present=self.present.to(device),
+            links=None if self.links is None else self.links.to(device),
+        )
 
 
 @dataclass(frozen=True)

@@ -31,14 +31,14 @@ VISION_SPEC: dict[str, Any] = {
 @pytest.fixture
 def own_conf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A conf/ folder of the test's own, with the groups ``model`` and ``experiment``."""
-    for group in ("model", "experiment"):
+    for group in ("model", "preset"):
         (tmp_path / group).mkdir()
     monkeypatch.setattr(fploc.conf, "conf_folder", lambda: tmp_path)
     return tmp_path
 
 
 def test_conf_folder_holds_both_groups() -> None:
-    for group in ("model", "experiment"):
+    for group in ("model", "preset"):
         assert (conf_folder() / group).is_dir()
 
 
@@ -122,8 +122,6 @@ def test_unknown_preset_lists_the_known_ones() -> None:
     ("text", "named"), [("seeds: [0]\n", "solver"), ("colour: red\n", "colour"), ("{}\n", "thin")]
 )
 def test_missing_and_unknown_keys_of_a_preset_are_named(own_conf: Path, text: str, named: str) -> None:
-    (own_conf / "experiment" / "mine.yaml").write_text(text)
-    with pytest.raises(
-        BadFileError, match=rf"conf/experiment/mine.yaml, keys: .*missing or unknown: .*{named}"
-    ):
+    (own_conf / "preset" / "mine.yaml").write_text(text)
+    with pytest.raises(BadFileError, match=rf"conf/preset/mine.yaml, .*{named}"):
         read_preset("mine")

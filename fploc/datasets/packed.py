@@ -61,6 +61,18 @@ class PackedSite:
         return dense_recordings(self.site, self.readings, self.intervals)
 
 
+def packed_sites(data_root: Path) -> list[str]:
+    """Return the names of all packed sites below ``data_root``, sorted.
+
+    Raises:
+        MissingFileError: If there is none.
+    """
+    names = sorted(path.parent.name for path in (data_root / PACKED).glob(f"*/{MANIFEST}"))
+    if not names:
+        raise MissingFileError(data_root / PACKED, expected="packed sites", way_out=_REBUILD)
+    return names
+
+
 def packed_folder(data_root: Path, site: str) -> Path:
     """Return the folder of a packed site."""
     return data_root / PACKED / site

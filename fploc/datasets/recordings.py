@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -86,7 +87,7 @@ def dense_recordings(site: Site, readings: pd.DataFrame, intervals: pd.DataFrame
             slant[at] = cells["range_slant_m"].fillna(0.0)
             std[at] = cells["range_std_m"].fillna(0.0)
             rss[at] = cells["rss_dbm"].fillna(0.0)
-        device, name = key
+        device, name = cast(tuple[int, str], key)
         recordings.append(
             Recording(
                 site=site.name,
@@ -124,7 +125,7 @@ def pad(recordings: Sequence[Recording]) -> PaddedRecordings:
     """Return ``recordings`` as one batch, time first."""
     longest = max(len(recording) for recording in recordings)
 
-    def padded(name: str) -> NDArray[np.generic]:
+    def padded(name: str) -> NDArray[Any]:
         arrays = [getattr(recording, name) for recording in recordings]
         return np.stack(
             [np.pad(array, [(0, longest - len(array))] + [(0, 0)] * (array.ndim - 1)) for array in arrays],

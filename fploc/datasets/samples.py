@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -37,14 +37,10 @@ class LabelledIntervals:
 
     def to(self, device: torch.device | str) -> LabelledIntervals:
         """Return the batch on ``device``: Lightning's way to move a batch."""
-        moved = {field.name: getattr(self.intervals, field.name) for field in fields(self.intervals)}
-        moved = {
-            name: value.to(device) if isinstance(value, Tensor) else value for name, value in moved.items()
-        }
         return LabelledIntervals(
             plan=self.plan.to(device),
             access_points=self.access_points.to(device),
-            intervals=Intervals(**moved),
+            intervals=self.intervals.to(device),
             positions=self.positions.to(device),
         )
 

@@ -1,16 +1,18 @@
-"""Presets of ``fploc reproduce``: conf/experiment/<name>.yaml."""
+"""Presets of ``fploc reproduce``: conf/preset/<name>.yaml."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
-from fploc.conf import read_conf
+from fploc.conf import instantiate, read_conf
 from fploc.errors import BadFileError
 
 PRESETS = ("smoke", "default", "full", "paper")
+NETWORKS = ("generator", "gnn", "fpdnn")
+TRAININGS = (*NETWORKS, "gnn_adapted", "fpdnn_adapted")
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,10 @@ class Preset:
     name: str
     seeds: tuple[int, ...]
     networks: dict[str, str]
-    solver: str
+    solver: Literal["lls", "nls"]
     targets: tuple[str, ...]
     calibration: str
-    labels: str
+    labels: Literal["published", "repaired"]
     batch_intervals: int
     batches_per_epoch: int
     pool_batches: int
@@ -68,18 +70,23 @@ def read_preset(name: str) -> Preset:
 
     Raises:
         UnknownNameError: If there is no such preset.
-        BadFileError: If a key is missing or unknown.
+        BadFileError: If a key is missing, unknown or holds the wrong kind of value.
     """
-    values = read_conf("experiment", name)
-    expected = {field.name for field in fields(Preset)} - {"name"}
-    if set(values) != expected:
-        wrong = sorted(set(values) ^ expected)
-        raise BadFileError(
-            f"conf/experiment/{name}.yaml",
-            "keys",
-            value=f"missing or unknown: {', '.join(wrong)}",
-            expected=", ".join(sorted(expected)),
-            way_out="correct the file",
-        )
-    values["seeds"], values["targets"] = tuple(values["seeds"]), tuple(values["targets"])
-    return Preset(name=name, **values)
+    values = read_conf("preset", name)
+    spec = {"class_path": f"{Preset.__module__}.{Preset.__qualname__}", "init_args": values | {"name": name}}
+    preset = instantiate(Preset, spec, source=f"conf/preset/{name}.yaml")
+    for key, expected in {
+        "networks": NETWORKS,
+        "learning_rates": NETWORKS,
+        "epochs": TRAININGS,
+    }.items():
+        found = getattr(preset, key)
+        if set(found) != set(expected):
+            raise BadFileError(
+                f"conf/preset/{name}.yaml",
+                key,
+                value=", ".join(found),
+                expected=", ".join(expected),
+                way_out="name each of these once",
+            )
+    return preset

@@ -6,11 +6,14 @@ import json
 import logging
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from datamodules.measured import MeasuredDataModule
 from fploc.artifacts import Artifact, ArtifactKey, load_artifact
@@ -109,20 +112,20 @@ class Reproduction:
             f"train--generator--seed-{seed}",
             [source],
             [self._key("generator", "seen", source, seed).folder(self.artifacts)],
-            lambda: self._train_generator(seed),
+            partial(self._train_generator, seed),
         )
         yield self._stage(
             f"train--{source}--seed-{seed}",
             [source],
             [self._key("gnn-fpdnn", "seen", source, seed).folder(self.artifacts)],
-            lambda: self._train_on_source(seed),
+            partial(self._train, source, "seen", seed),
         )
         for target in self.world.targets:
             yield self._stage(
                 f"train--{target}--seed-{seed}",
                 [source, target],
                 [self._key("gnn-fpdnn", "zero-shot", target, seed).folder(self.artifacts)],
-                lambda target=target: self._adapt(target, seed),  # type: ignore[misc]
+                partial(self._train, target, "zero-shot", seed),
             )
 
     def _scorings(self) -> Iterator[Scoring]:
@@ -138,7 +141,7 @@ class Reproduction:
             f"score--{scoring.name}",
             [self.world.source, scoring.site],
             [self._records_file(scoring)],
-            lambda: self._score(scoring),
+            partial(self._score, scoring),
         )
 
     def _report_stage(self, scorings: Sequence[Stage]) -> Stage:
@@ -149,9 +152,11 @@ class Reproduction:
             run=self._report,
         )
 
-    def _stage(self, name: str, sites: Sequence[str], outputs: Sequence[Path], run: object) -> Stage:
+    def _stage(
+        self, name: str, sites: Sequence[str], outputs: Sequence[Path], run: Callable[[], None]
+    ) -> Stage:
         hashes = [self.packed[site].manifest_hash for site in sites]
-        return Stage(name=name, inputs=[self.preset.fingerprint, *hashes], outputs=outputs, run=run)  # type: ignore[arg-type]
+        return Stage(name=name, inputs=[self.preset.fingerprint, *hashes], outputs=outputs, run=run)
 
     def _key(self, method: str, protocol: str, target: str, seed: int) -> ArtifactKey:
         return ArtifactKey(method, protocol, target, self.preset.name, seed)
@@ -186,12 +191,6 @@ class Reproduction:
             recordings=tuple(f"{one.site}/{one.name}" for one in recordings),
             command=reproduce_command(self.preset.name),
         ).save(self.artifacts)
-
-    def _train_on_source(self, seed: int) -> None:
-        self._train(self.world.source, "seen", seed)
-
-    def _adapt(self, target: str, seed: int) -> None:
-        self._train(target, "zero-shot", seed)
 
     def _train(self, target: str, protocol: str, seed: int) -> None:
         artifact = self._load("generator", "seen", self.world.source, seed)
@@ -398,8 +397,8 @@ def tracked_record(line: str) -> TrackedRecord:
     return TrackedRecord(Record(**values), **own)
 
 
-def _errors_by_filter(tracks: Sequence[Track]) -> dict[str, np.ndarray]:
-    def errors(filtered: bool) -> np.ndarray:
+def _errors_by_filter(tracks: Sequence[Track]) -> dict[str, NDArray[np.float64]]:
+    def errors(filtered: bool) -> NDArray[np.float64]:
         return np.concatenate(
             [
                 held_errors_m(
@@ -417,7 +416,7 @@ def _first_of_each_device(tracks: Sequence[Track]) -> list[Track]:
     return list({track.recording.device: track for track in reversed(tracks)}.values())[::-1]
 
 
-def _track_figure(track: Track, packed: PackedSite, method: str):  # type: ignore[no-untyped-def]
+def _track_figure(track: Track, packed: PackedSite, method: str) -> Figure:
     paths = {"unfiltered": track.unfiltered.positions_m}
     if track.filtered is not None:
         paths["Kalman filter"] = track.filtered.positions_m

@@ -102,7 +102,7 @@ def train_generator(
     """Train the generator on the source's recordings."""
     pl.seed_everything(seed, verbose=False)
     network = instantiate(Generator, preset.network_specs["generator"])
-    task = GeneratorTask(network, network.vision.crops, learning_rate=preset.learning_rates["generator"])
+    task = GeneratorTask(network, learning_rate=preset.learning_rates["generator"])
     metrics = fit(
         task,
         measured.train_dataloader(),
@@ -174,7 +174,6 @@ def train_chain(
     fpdnn = instantiate(FPDNN, specs["fpdnn"]) if start is None else copy.deepcopy(start.fpdnn)
     fpdnn_task = FPDNNTask(
         fpdnn,
-        fpdnn.vision.crops,
         jitter_m=variance_m2**0.5,
         learning_rate=preset.learning_rates["fpdnn"],
     )

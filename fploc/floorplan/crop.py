@@ -82,7 +82,35 @@ def crop_links(
         width_m: Extent of the crops across the link.
         length_px: Columns of every crop, W.
     """
-    device, dtype = ink.device, ink.dtype
+    return crop_softened_links(
+        soften_for(ink, pixels_from_metres, pixels_per_metre),
+        pixels_from_metres,
+        starts,
+        ends,
+        pixels_per_metre=pixels_per_metre,
+        width_m=width_m,
+        length_px=length_px,
+    )
+
+
+def soften_for(ink: Tensor, pixels_from_metres: Tensor, pixels_per_metre: float) -> Tensor:
+    """Return a plan, shape (H, W), softened for crops of ``pixels_per_metre``; unchanged where these are finer."""
+    plan_pixels_per_metre = pixels_from_metres[:, :2].det().abs().sqrt()
+    return soften(ink, float(plan_pixels_per_metre) / pixels_per_metre)
+
+
+def crop_softened_links(
+    softened: Tensor,
+    pixels_from_metres: Tensor,
+    starts: Tensor,
+    ends: Tensor,
+    *,
+    pixels_per_metre: float,
+    width_m: float = 4.0,
+    length_px: int,
+) -> Crops:
+    """Crop a plan that ``soften_for`` has prepared once; otherwise as ``crop_links``."""
+    device, dtype = softened.device, softened.dtype
     matrix = pixels_from_metres.to(device, dtype)
     starts, ends = starts.to(device, dtype), ends.to(device, dtype)
     height = max(1, round(width_m * pixels_per_metre))
@@ -94,9 +122,6 @@ def crop_links(
     left = torch.stack([-forward[:, 1], forward[:, 0]], dim=1)
     lengths = (distance[:, 0] * pixels_per_metre).round().long().clamp(1, length_px)
 
-    plan_pixels_per_metre = matrix[:, :2].det().abs().sqrt()
-    softened = soften(ink, float(plan_pixels_per_metre) / pixels_per_metre)
-
     columns = torch.arange(length_px, device=device)
     belongs = columns < lengths[:, None]
     link, column = belongs.nonzero(as_tuple=True)
@@ -105,7 +130,7 @@ def crop_links(
 
     # In units of grid_sample: −1 and 1 are the outer edges of the plan. No matrix product: mixed precision
     # and reduced-precision products would move the crop by pixels.
-    size = torch.tensor([ink.shape[1], ink.shape[0]], device=device, dtype=dtype)
+    size = torch.tensor([softened.shape[1], softened.shape[0]], device=device, dtype=dtype)
     linear, shift = matrix[:, :2] * 2 / size[:, None], (2 * matrix[:, 2] + 1) / size - 1
     start, step, turn = (_apply(linear, vectors) for vectors in (starts, forward, left))
     middle = (start + shift)[link] + ahead_m[:, None] * step[link]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.floorplan.crop import Crops, crop_links, ink_of
+from fploc.floorplan.crop import Crops, crop_softened_links, ink_of, soften_for
 from fploc.floorplan.plan import FloorPlan
 
 
@@ -51,11 +51,20 @@ class CropSettings:
     max_length_px: int
     patch_length_px: int
 
+    def softened(self, plan: PlanRaster) -> PlanRaster:
+        """Return ``plan`` prepared for ``crop_softened``: done once where many batches see one plan."""
+        ink = soften_for(plan.ink, plan.pixels_from_metres, self.pixels_per_metre)
+        return PlanRaster(ink, plan.pixels_from_metres)
+
     def crop(self, plan: PlanRaster, starts: Tensor, ends: Tensor) -> Crops:
         """Crop links from ``starts`` to ``ends``, (L, 2) metres, padded to the longest of the batch."""
+        return self.crop_softened(self.softened(plan), starts, ends)
+
+    def crop_softened(self, plan: PlanRaster, starts: Tensor, ends: Tensor) -> Crops:
+        """Crop links of a plan that ``softened`` has prepared."""
         longest_m = float((ends - starts).norm(dim=-1).max()) if len(starts) else 0.0
         patches = math.ceil((longest_m * self.pixels_per_metre + 1) / self.patch_length_px)
-        return crop_links(
+        return crop_softened_links(
             plan.ink,
             plan.pixels_from_metres,
             starts,

@@ -54,7 +54,7 @@ class GNNFPDNN:
     ) -> None:
         self.coarse = coarse
         self.network = network
-        self.plan = plan
+        self.plan = crops.softened(plan)
         self.crops = crops
         self.solver = solver
         self.sigma_m = sigma_m
@@ -82,7 +82,7 @@ class GNNFPDNN:
         device, starts = links.device[seen], links.access_points[seen]
         if len(device) == 0:
             return corrected
-        crops = self.crops.crop(self.plan, starts, coarse.positions[device].float())
+        crops = self.crops.crop_softened(self.plan, starts, coarse.positions[device].float())
         ranges, rss = links.ranges[seen].float(), links.rss[seen].float()
         estimated = self.network(crops.images, crops.lengths_px, ranges, rss)
         chosen = intervals.heard & coarse.fixed[:, None]

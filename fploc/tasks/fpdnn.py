@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from fploc.datasets.samples import LabelledIntervals
-from fploc.floorplan.raster import CropSettings
 from fploc.models.fpdnn import FPDNN
 
 
@@ -19,7 +18,6 @@ class FPDNNTask(pl.LightningModule):
 
     Args:
         network: FPDNN.
-        crops: How crops are taken.
         jitter_m: Standard deviation of the jitter per axis, metres.
         learning_rate: Adam's.
         weight_decay: Adam's.
@@ -28,14 +26,12 @@ class FPDNNTask(pl.LightningModule):
     def __init__(
         self,
         network: FPDNN,
-        crops: CropSettings,
         jitter_m: float = 1.0,
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-5,
     ) -> None:
         super().__init__()
         self.network = network
-        self.crops = crops
         self.jitter_m = jitter_m
         self.learning_rate = learning_rate
         self.weight_decay = weight_decay
@@ -55,7 +51,7 @@ class FPDNNTask(pl.LightningModule):
     def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
         links = batch.links
         coarse = batch.positions + self.jitter_m * torch.randn_like(batch.positions)
-        crops = self.crops.crop(batch.plan, links.access_points, coarse[links.device])
+        crops = self.network.vision.crops.crop(batch.plan, links.access_points, coarse[links.device])
         estimated = self.network(crops.images, crops.lengths_px, links.ranges, links.rss)
         distances = (batch.positions[links.device] - links.access_points).norm(dim=-1)
         loss = torch.nn.functional.mse_loss(estimated, distances)

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor
 
 from fploc.datasets.samples import LabelledIntervals
-from fploc.floorplan.raster import CropSettings
 from fploc.models.generator import Generator
 
 
@@ -19,7 +18,6 @@ class GeneratorTask(pl.LightningModule):
 
     Args:
         network: The generator.
-        crops: How crops are taken.
         learning_rate: Adam's.
         weight_decay: Adam's.
     """
@@ -27,13 +25,11 @@ class GeneratorTask(pl.LightningModule):
     def __init__(
         self,
         network: Generator,
-        crops: CropSettings,
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-5,
     ) -> None:
         super().__init__()
         self.network = network
-        self.crops = crops
         self.learning_rate = learning_rate
         self.weight_decay = weight_decay
 
@@ -52,7 +48,7 @@ class GeneratorTask(pl.LightningModule):
     def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
         links = batch.links
         ends = batch.positions[links.device]
-        crops = self.crops.crop(batch.plan, links.access_points, ends)
+        crops = self.network.vision.crops.crop(batch.plan, links.access_points, ends)
         distances = (ends - links.access_points).norm(dim=-1)
         errors = links.ranges - distances
         distribution = self.network(crops.images, crops.lengths_px, distances)

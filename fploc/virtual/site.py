@@ -50,6 +50,7 @@ class VirtualSite:
     ) -> None:
         self.plan = plan
         self.raster = PlanRaster.of(plan)
+        self.softened = crops.softened(self.raster)
         self.access_points = torch.tensor(site.positions_m, dtype=torch.float32)
         self.generator = generator.eval()
         self.crops = crops
@@ -97,7 +98,7 @@ class VirtualSite:
 
     def measure(self, starts: Tensor, ends: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
         """Return calibrated plan ranges (L,) in metres and RSS (L,) in dBm of links (L, 2) to (L, 2)."""
-        crops = self.crops.crop(self.raster, starts, ends)
+        crops = self.crops.crop_softened(self.softened, starts, ends)
         distances = (ends - starts).norm(dim=-1)
         errors, rss = self.generator(crops.images, crops.lengths_px, distances).sample(random)
         return (distances + errors).clamp(min=0.0), rss

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import shlex
+from pathlib import Path
 
 import pytest
 import torch
 
+from fploc.cli import main
 from fploc.conf import conf_folder, instantiate, read_conf
 from fploc.experiments.preset import PRESETS, read_preset
 from fploc.floorplan.raster import PlanRaster
@@ -98,7 +100,7 @@ def test_small_networks_are_smaller_than_the_published_ones() -> None:
         assert 10 * parameters(made(name)) < parameters(made(f"{name}-paper"))
 
 
-@pytest.mark.parametrize("name", names("experiment"))
+@pytest.mark.parametrize("name", names("preset"))
 def test_every_preset_is_read_and_names_what_exists(name: str) -> None:
     preset = read_preset(name)
     assert preset.name == name
@@ -125,18 +127,30 @@ def test_every_preset_is_read_and_names_what_exists(name: str) -> None:
     assert all(0 < rate < 1 for rate in preset.learning_rates.values())
 
 
-@pytest.mark.parametrize("name", names("experiment"))
-def test_every_experiment_begins_with_the_command_that_runs_it(name: str) -> None:
-    first = (conf_folder() / "experiment" / f"{name}.yaml").read_text(encoding="utf-8").splitlines()[0]
+def first_command(group: str, name: str) -> list[str]:
+    first = (conf_folder() / group / f"{name}.yaml").read_text(encoding="utf-8").splitlines()[0]
     assert first.startswith("# ")
-    assert shlex.split(first.removeprefix("# ")) in (
-        ["fploc", "reproduce", "--preset", name],
-        ["fploc", "fit", "--config", f"conf/experiment/{name}.yaml"],
-    )
+    return shlex.split(first.removeprefix("# "))
 
 
-def test_presets_are_the_experiments_that_reproduce_runs() -> None:
-    assert set(PRESETS) <= set(names("experiment"))
+@pytest.mark.parametrize("name", names("preset"))
+def test_every_preset_begins_with_the_command_that_runs_it(name: str) -> None:
+    assert first_command("preset", name) == ["fploc", "reproduce", "--preset", name]
+
+
+@pytest.mark.parametrize("name", names("experiment"))
+def test_every_experiment_begins_with_the_command_that_runs_it_and_trains(
+    name: str, data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = first_command("experiment", name)
+    assert command == ["fploc", "fit", "--config", f"conf/experiment/{name}.yaml"]
+    monkeypatch.chdir(tmp_path)
+    quick = ["--trainer.fast_dev_run=1", f"--data.init_args.data_root={data_root}"]
+    assert main([*command[1:], *quick]) == 0
+
+
+def test_presets_are_what_reproduce_runs() -> None:
+    assert set(PRESETS) == set(names("preset"))
 
 
 def test_fingerprints_tell_presets_apart_and_stay() -> None:

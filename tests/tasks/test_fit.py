@@ -35,12 +35,12 @@ def gnn_task() -> GNNTask:
 
 def fpdnn_task() -> FPDNNTask:
     network = FPDNN(vision(), CorrectionHead(64))
-    return FPDNNTask(network, network.vision.crops, learning_rate=0.01)
+    return FPDNNTask(network, learning_rate=0.01)
 
 
 def generator_task() -> GeneratorTask:
     network = Generator(vision())
-    return GeneratorTask(network, network.vision.crops, learning_rate=0.01)
+    return GeneratorTask(network, learning_rate=0.01)
 
 
 METRICS: list[tuple[Callable[[], pl.LightningModule], set[str]]] = [
@@ -114,5 +114,5 @@ def test_the_optimizer_is_adam_with_the_published_decay(make_task: Callable[[], 
 def test_published_learning_rates_are_the_defaults() -> None:
     network = FPDNN(vision(), CorrectionHead(64))
     assert GNNTask(GNN(hidden=8, message_width=4, layers=2)).learning_rate == 2e-4
-    assert FPDNNTask(network, network.vision.crops).learning_rate == 1e-3
-    assert GeneratorTask(Generator(vision()), network.vision.crops).learning_rate == 1e-3
+    assert FPDNNTask(network).learning_rate == 1e-3
+    assert GeneratorTask(Generator(vision())).learning_rate == 1e-3

@@ -35,7 +35,7 @@ def vision() -> DeepViT:
 
 def fpdnn_task(jitter_m: float) -> FPDNNTask:
     network = FPDNN(vision(), CorrectionHead(64))
-    return FPDNNTask(network, network.vision.crops, jitter_m=jitter_m)
+    return FPDNNTask(network, jitter_m=jitter_m)
 
 
 def validated(task: pl.LightningModule, *batches: LabelledIntervals) -> dict[str, float]:
@@ -158,7 +158,7 @@ def test_generator_loss_is_the_negative_log_likelihood(make_batch: Callable[...,
         joint = made.log_prob_error(errors) + made.log_prob_rss(batch.intervals.rss[heard], errors)
         absolute = (made.mean_error() - errors).abs()
     expected = {"val/nll": float(-joint.mean()), "val/range_mae_m": float(absolute.mean())}
-    metrics = validated(GeneratorTask(network, network.vision.crops), batch)
+    metrics = validated(GeneratorTask(network), batch)
     assert metrics == pytest.approx(expected, rel=1e-4)
 
 

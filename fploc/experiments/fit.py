@@ -1,0 +1,56 @@
+"""``fploc fit``: one training by LightningCLI, from a YAML of conf/experiment/ or one's own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+
+import lightning.pytorch as pl
+from lightning.pytorch.cli import LightningCLI
+
+from fploc.conf import conf_folder
+from fploc.errors import MissingFileError
+
+CONFIG = "--config"
+# What an experiment logs to is given by its path alone; MLflow then says nothing to anyone else.
+os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+
+
+def fit_from_command_line(words: Sequence[str]) -> None:
+    """Train what the words of a command line describe; see ``fploc fit --help``.
+
+    Raises:
+        MissingFileError: If a configuration file is not there.
+    """
+    with resources.as_file(conf_folder()) as conf:
+        LightningCLI(
+            pl.LightningModule,
+            pl.LightningDataModule,
+            subclass_mode_model=True,
+            subclass_mode_data=True,
+            save_config_callback=None,
+            args=["fit", *_resolved(words, Path(conf))],
+        )
+
+
+def _resolved(words: Sequence[str], conf: Path) -> list[str]:
+    """Return the words with ``--config conf/experiment/NAME.yaml`` found wherever conf/ lies."""
+    resolved = list(words)
+    for index, word in enumerate(words[:-1]):
+        if word == CONFIG:
+            resolved[index + 1] = str(_config_file(Path(words[index + 1]), conf))
+    return resolved
+
+
+def _config_file(named: Path, conf: Path) -> Path:
+    if named.is_file():
+        return named
+    packaged = conf / "experiment" / named.name
+    if packaged.is_file():
+        return packaged
+    known = ", ".join(sorted(file.name for file in (conf / "experiment").iterdir()))
+    raise MissingFileError(
+        named, expected="a configuration", way_out=f"name a file, or one of conf/experiment/: {known}"
+    )
