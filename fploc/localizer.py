@@ -25,6 +25,7 @@ from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.intervals import Estimate, Intervals, NoFix
 from fploc.methods.interface import Method
 from fploc.methods.one_shot import Memoryless
+from fploc.progress import track
 from fploc.sites.site import Site
 
 ROWS_AT_ONCE = 4096
@@ -245,7 +246,7 @@ def _locate_in_turn(localizer: Localizer, intervals: Intervals) -> Estimate:
     """Step the method through time; estimates have shape (T, B, …)."""
     state = localizer.init(intervals.t_s.shape[1])
     found = []
-    for step in range(len(intervals.t_s)):
+    for step in track(range(len(intervals.t_s)), localizer.method.name):
         state, one = localizer.locate(state, _rows(intervals, step))
         found.append(one)
     return _stacked(found)

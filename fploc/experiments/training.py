@@ -81,7 +81,11 @@ def fit(
         default_root_dir=folder,
         devices=1,
     )
-    trainer.fit(task, train_dataloaders=dict(streams), val_dataloaders=validation)
+    try:
+        trainer.fit(task, train_dataloaders=dict(streams), val_dataloaders=validation)
+    except SystemExit as stopped:
+        # Lightning answers an interruption by leaving the process.
+        raise KeyboardInterrupt from stopped
     metrics = trainer.validate(task, dataloaders=validation, verbose=False)[0]
     task.cpu().eval()
     return {name: float(value) for name, value in metrics.items()}

@@ -58,14 +58,14 @@ def plot_tracks(
     axes = figure.subplots()
     axes.imshow(plan.grey, cmap="gray", extent=(left, right, bottom, top), alpha=0.55, vmin=0, vmax=255)
     for index, (name, track) in enumerate(tracks_m.items()):
-        axes.plot(*track.T, ".", markersize=2.5, color=f"C{index}", label=name, alpha=0.6)
+        axes.plot(*track.T, ".", markersize=3, color=f"C{index}", label=name, alpha=0.6)
     axes.plot(*truth_m.T, color="black", linewidth=1.4, label="ground truth")
     axes.plot(
-        *site.positions_m.T, "*", color="crimson", markersize=11, label="access points", linestyle="none"
+        *site.positions_m.T, "*", color="crimson", markersize=9, label="access points", linestyle="none"
     )
     seen = np.concatenate([site.positions_m, truth_m[np.isfinite(truth_m).all(axis=1)]])
     low, high = seen.min(axis=0) - 4.0, seen.max(axis=0) + 4.0
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_title(f"{title} ({MADE_UP})" if site.made_up else title)
-    figure.legend(loc="outside lower center", ncols=6, markerscale=2.0, fontsize="small")
+    figure.legend(loc="outside lower center", ncols=6, markerscale=1.4, fontsize="small")
     return figure
