@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jsonargparse import ActionConfigFile, ArgumentParser, Namespace
+from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, Namespace
 
 from fploc.errors import FplocError
 
@@ -27,6 +27,7 @@ DATA_COMMANDS = {
     "build": "Pack sites. Example: fploc data build --from DIR --sites office,laboratory",
     "describe": "Count what packed sites hold, draw them. Example: fploc data describe --out overlays",
 }
+COMMANDS = {"data", *DATA_COMMANDS, "made-up", "fit", "evaluate", "reproduce"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,10 +42,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _runner(options)
     except FplocError as error:
         return _fail(str(error), BAD_INPUT)
+    except ArgumentError as error:
+        return _fail(_usage_message(str(error), words), BAD_INPUT)
     except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        return _fail(f"{error.filename}: no space is left on the disk; free some and run again", BAD_INPUT)
+        place = f"{error.filename}: " if error.filename else ""
+        reason = error.strerror or str(error)
+        return _fail(f"{place}{reason}; free some space or name another place, and run again", BAD_INPUT)
     except KeyboardInterrupt:
         return _fail("interrupted; the next call goes on from the last finished step", INTERRUPTED)
 
@@ -55,15 +58,20 @@ def make_parser() -> ArgumentParser:
         prog="fploc",
         description="Indoor localization from WiFi round-trip time and a floor plan.",
         version=_version(),
+        exit_on_error=False,
     )
     commands = parser.add_subcommands(required=True, dest="command")
-    data = ArgumentParser(description="The public data set: fetch, check, pack and describe it.")
+    data = ArgumentParser(
+        description="The public data set: fetch, check, pack and describe it.", exit_on_error=False
+    )
     commands.add_subcommand("data", data, help="Fetch, check, pack and describe the public data set.")
     data_commands = data.add_subcommands(required=True, dest="data_command")
     for name, text in DATA_COMMANDS.items():
         data_commands.add_subcommand(name, _data_parser(name, text), help=text.split(". ")[0] + ".")
     commands.add_subcommand("made-up", _made_up_parser(), help="Write a made-up building and its recordings.")
-    commands.add_subcommand("fit", ArgumentParser(), help="Train one network (LightningCLI).")
+    commands.add_subcommand(
+        "fit", ArgumentParser(exit_on_error=False), help="Train one network (LightningCLI)."
+    )
     commands.add_subcommand("evaluate", _evaluate_parser(), help="Score a method on a packed site.")
     commands.add_subcommand(
         "reproduce", _reproduce_parser(), help="Get data, train, evaluate, tabulate: `make reproduce`."
@@ -72,7 +80,7 @@ def make_parser() -> ArgumentParser:
 
 
 def _data_parser(name: str, text: str) -> ArgumentParser:
-    parser = ArgumentParser(description=text)
+    parser = ArgumentParser(description=text, exit_on_error=False)
     parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
     _add_data_options(parser)
     if name == "describe":
@@ -107,7 +115,8 @@ def _add_data_root(parser: ArgumentParser) -> None:
 def _made_up_parser() -> ArgumentParser:
     parser = ArgumentParser(
         description="Write a seeded made-up building: plan, access points and phone logs, as the phone "
-        "logger writes them. Example: fploc made-up --seed 7 --out building"
+        "logger writes them. Example: fploc made-up --seed 7 --out building",
+        exit_on_error=False,
     )
     parser.add_argument("--seed", type=int, required=True, help="One seed, one building.")
     parser.add_argument("--out", type=Path, required=True, help="Folder to write.")
@@ -117,7 +126,8 @@ def _made_up_parser() -> ArgumentParser:
 def _evaluate_parser() -> ArgumentParser:
     parser = ArgumentParser(
         description="Score a method. Example: fploc evaluate --method nls --protocol zero-shot "
-        "--site shopping-mall --device 1 --json -"
+        "--site shopping-mall --device 1 --json -",
+        exit_on_error=False,
     )
     parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
     parser.add_argument("--method", type=str, required=True, help="Name of the method.")
@@ -140,7 +150,8 @@ def _evaluate_parser() -> ArgumentParser:
 def _reproduce_parser() -> ArgumentParser:
     parser = ArgumentParser(
         description="Get data, build, train, evaluate, tabulate. Resumes where it was interrupted. "
-        "Example: fploc reproduce --preset smoke"
+        "Example: fploc reproduce --preset smoke",
+        exit_on_error=False,
     )
     parser.add_argument("--preset", type=str, default="default", help="smoke, default, full or paper.")
     _add_data_options(parser)
@@ -240,6 +251,7 @@ def _run_made_up(options: Namespace) -> None:
 
 def _run_evaluate(options: Namespace) -> None:
     from fploc.evaluation.evaluate import EvaluationRequest
+    from fploc.evaluation.records import write_records
     from fploc.experiments.scoring import DEFAULT_CALIBRATION, answer
 
     request = EvaluationRequest(
@@ -260,7 +272,7 @@ def _run_evaluate(options: Namespace) -> None:
         print(json.dumps(records, indent=2))  # noqa: T201
         return
     if options.json:
-        Path(options.json).write_text("".join(json.dumps(record) + "\n" for record in records))
+        write_records(answered, Path(options.json))
     columns = ("device", "labels", "filter", "n", "no_fix_share", "rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
     _print_rows([{name: _text(record[name]) for name in columns} for record in records], as_json=False)
 
@@ -312,6 +324,12 @@ def _text(value: object) -> str:
 def _fail(message: str, code: int) -> int:
     print(f"fploc: {message}", file=sys.stderr)  # noqa: T201
     return code
+
+
+def _usage_message(reason: str, words: Sequence[str]) -> str:
+    """Return in one line why words were refused, and where the right ones stand."""
+    command = " ".join(["fploc", *takewhile(lambda word: word in COMMANDS, words)])
+    return f"{' '.join(reason.split())}; see `{command} --help`"
 
 
 def _version() -> str:

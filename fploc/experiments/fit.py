@@ -14,6 +14,8 @@ from fploc.conf import conf_folder
 from fploc.errors import MissingFileError
 
 CONFIG = "--config"
+RAISING = {"exit_on_error": False}
+"""Of a parser: what it refuses goes to the caller, who prints it in one line."""
 # What an experiment logs to is given by its path alone; MLflow then says nothing to anyone else.
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
@@ -31,6 +33,7 @@ def fit_from_command_line(words: Sequence[str]) -> None:
             subclass_mode_model=True,
             subclass_mode_data=True,
             save_config_callback=None,
+            parser_kwargs=RAISING | {"fit": RAISING},
             args=["fit", *_resolved(words, Path(conf))],
         )
 

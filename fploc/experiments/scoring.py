@@ -8,8 +8,8 @@ from pathlib import Path
 
 from fploc.artifacts import Artifact, ArtifactKey, load_artifact
 from fploc.calibration.offsets import RangeOffsets
-from fploc.datasets.packed import PackedSite, read_packed
-from fploc.errors import FplocError
+from fploc.datasets.packed import PackedSite, packed_sites, read_packed
+from fploc.errors import FplocError, UnknownNameError
 from fploc.evaluation.evaluate import EvaluationRequest, evaluate, source_offsets
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import Record
@@ -133,12 +133,15 @@ def chosen_plan(name: str, target: PackedSite, data_root: Path) -> FloorPlan:
         data_root: Folder of packed sites.
 
     Raises:
-        MissingFileError: If the other site is not packed.
+        UnknownNameError: If it is none of these.
     """
     if name == "real":
         return target.plan
     if name == "blank":
         return target.plan.blank()
+    known = packed_sites(data_root)
+    if name not in known:
+        raise UnknownNameError("--plan", name, known=["real", "blank", *known], way_out="choose one of these")
     return read_packed(data_root, name).plan.placed_as(target.plan)
 
 
