@@ -329,7 +329,7 @@ def _fail(message: str, code: int) -> int:
 def _usage_message(reason: str, words: Sequence[str]) -> str:
     """Return in one line why words were refused, and where the right ones stand."""
     command = " ".join(["fploc", *takewhile(lambda word: word in COMMANDS, words)])
-    return f"{' '.join(reason.split())}; see `{command} --help`"
+    return f"{' '.join(reason.split()).rstrip('.')}; see `{command} --help`"
 
 
 def _version() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -26,6 +27,8 @@ def fit_from_command_line(words: Sequence[str]) -> None:
     Raises:
         MissingFileError: If a configuration file is not there.
     """
+    # The words come from the command line itself, which Lightning cannot know.
+    warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
     with resources.as_file(conf_folder()) as conf:
         LightningCLI(
             pl.LightningModule,
