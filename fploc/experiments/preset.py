@@ -25,6 +25,7 @@ class Preset:
         networks: Name in conf/model/ of ``generator``, ``gnn`` and ``fpdnn``.
         solver: ``lls`` (published) or ``nls``, behind FPDNN.
         targets: Sites of the protocol ``zero-shot``.
+        methods: Scored at every site, in the order of the tables.
         calibration: Range offsets of learned methods.
         labels: Labels to learn from.
         batch_intervals: Intervals of a training batch.
@@ -41,6 +42,7 @@ class Preset:
     networks: dict[str, str]
     solver: Literal["lls", "nls"]
     targets: tuple[str, ...]
+    methods: tuple[str, ...]
     calibration: str
     labels: Literal["published", "repaired"]
     batch_intervals: int
@@ -53,10 +55,14 @@ class Preset:
 
     @property
     def fingerprint(self) -> str:
-        """Hash over everything that the results depend on, network configurations included."""
+        """Hash over everything that the results depend on, network configurations included.
+
+        No result depends on which methods stand beside it: a longer list trains nothing anew.
+        """
         described = asdict(self) | {
             "conf": {name: read_conf("model", file) for name, file in self.networks.items()}
         }
+        del described["methods"]
         return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
 
     @property

@@ -29,7 +29,6 @@ from fploc.experiments.duration import announce_duration
 from fploc.experiments.preset import Preset, read_preset
 from fploc.experiments.scoring import (
     LEARNED_METHODS,
-    METHODS,
     artifacts_folder,
     data_hash,
     ready_method,
@@ -131,7 +130,7 @@ class Reproduction:
     def _scorings(self) -> Iterator[Scoring]:
         places = [("seen", self.world.source), *(("zero-shot", target) for target in self.world.targets)]
         for protocol, site in places:
-            for method in METHODS:
+            for method in self.preset.methods:
                 seeds = self.preset.seeds if method in LEARNED_METHODS else self.preset.seeds[:1]
                 for seed in seeds:
                     yield Scoring(method, protocol, site, seed)

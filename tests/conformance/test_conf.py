@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import torch
 from fploc.cli import main
 from fploc.conf import conf_folder, instantiate, read_conf
 from fploc.experiments.preset import PRESETS, read_preset
+from fploc.experiments.scoring import METHODS
 from fploc.floorplan.raster import PlanRaster
 from fploc.graphs.radio_graph import radio_graph
 from fploc.intervals import Intervals
@@ -112,6 +114,7 @@ def test_every_preset_is_read_and_names_what_exists(name: str) -> None:
     }
     assert preset.solver in {"lls", "nls"} and preset.labels in {"published", "repaired"}
     assert set(preset.targets) <= set(known_sites()) - {"office"}
+    assert set(preset.methods) <= set(METHODS) and len(set(preset.methods)) == len(preset.methods) > 0
     assert set(preset.epochs) == {"generator", "gnn", "fpdnn", "gnn_adapted", "fpdnn_adapted"}
     assert set(preset.learning_rates) == {"generator", "gnn", "fpdnn"}
     counts = [
@@ -157,6 +160,12 @@ def test_fingerprints_tell_presets_apart_and_stay() -> None:
     prints = [read_preset(name).fingerprint for name in PRESETS]
     assert len(set(prints)) == len(PRESETS)
     assert prints == [read_preset(name).fingerprint for name in PRESETS]
+
+
+def test_another_method_in_the_table_trains_nothing_anew() -> None:
+    preset = read_preset("default")
+    assert replace(preset, methods=(*preset.methods, "magic")).fingerprint == preset.fingerprint
+    assert replace(preset, thin=7).fingerprint != preset.fingerprint
 
 
 def test_paper_preset_trains_as_published() -> None:
