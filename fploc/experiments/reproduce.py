@@ -146,7 +146,7 @@ class Reproduction:
     def _report_stage(self, scorings: Sequence[Stage]) -> Stage:
         return Stage(
             name="report",
-            inputs=[stage.key for stage in scorings],
+            inputs=[f"{stage.name} {stage.key}" for stage in scorings],
             outputs=[self.folder / "records.jsonl", self.folder / "results.md"],
             run=self._report,
         )
@@ -366,7 +366,8 @@ def reproduce(
     Raises:
         FplocError: For any bad input.
     """
-    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    for chatty in ("lightning.pytorch", "mlflow", "alembic"):
+        logging.getLogger(chatty).setLevel(logging.ERROR)
     warnings.filterwarnings("ignore", module="lightning|torch|mlflow")
     preset = read_preset(preset_name)
     world = prepare_world(data_root, source, preset.targets if targets is None else targets)
