@@ -43,7 +43,7 @@ def announce_duration(preset: Preset, measured: MeasuredDataModule, targets: int
     device = "GPU" if torch.cuda.is_available() else "CPU"
     seconds = round(estimate_seconds(preset, measured, targets))
     advice = "" if device == "GPU" or seconds < 4 * 3600 else "; a GPU is advised"
-    text = f"preset {preset.name}: trainings take about {timedelta(seconds=seconds)} on this CPU{advice}"
+    text = f"preset {preset.name}: trainings take about {timedelta(seconds=seconds)} on this {device}{advice}"
     print(text, file=sys.stderr, flush=True)  # noqa: T201
 
 
