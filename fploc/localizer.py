@@ -23,13 +23,15 @@ from fploc.calibration.ranges import plan_ranges
 from fploc.datasets.recordings import PaddedRecordings, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.intervals import Estimate, Intervals, NoFix
-from fploc.methods.interface import Method
+from fploc.methods.interface import Method, Refining
 from fploc.methods.one_shot import Memoryless
 from fploc.progress import track
 from fploc.sites.site import Site
 
 ROWS_AT_ONCE = 4096
 """Intervals that a memoryless method solves in one call: bounds memory, not results."""
+REFINED_ROWS_AT_ONCE = 256
+"""The same for methods that look at a crop of every link."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +107,15 @@ class Localizer:
     ) -> None:
         self.method = method
         self.site = site
+        self.offsets = offsets
         self.filter = None if filter_settings is None else BatchedFilter(filter_settings)
         self.device = torch.device(device)
         self._offsets_m = torch.from_numpy(offsets.per_access_point_m(site.macs)).to(self.device)
         self._heights_m = torch.from_numpy(site.height_differences_m).to(self.device)
+
+    def with_method(self, method: Method) -> Localizer:
+        """Return a localizer of another method at the same site, without a filter behind it."""
+        return Localizer(method, self.site, self.offsets, device=self.device)
 
     def init(self, devices: int) -> LocalizerState:
         """Return the state of ``devices`` devices before their first interval."""
@@ -175,10 +182,9 @@ def localize(
     count = int(padded.present.sum())
     with torch.inference_mode():
         started = time.perf_counter()
-        locate = _locate_together if isinstance(method, Memoryless) and method.memoryless else _locate_in_turn
-        found = locate(localizer, intervals)
+        found = _locate(localizer, intervals)
         located = time.perf_counter()
-        filtered = None if filter_settings is None else _smooth_in_turn(localizer, intervals, found)
+        filtered = None if localizer.filter is None else _filtered_in_turn(localizer.filter, intervals, found)
         smoothed = time.perf_counter()
     tracks = []
     for index, recording in enumerate(recordings):
@@ -220,10 +226,55 @@ def _rows(intervals: Intervals, at: slice | int) -> Intervals:
     )
 
 
+def _locate(localizer: Localizer, intervals: Intervals) -> Estimate:
+    """Run the method over all intervals, many at once where it allows that; estimates have shape (T, B, …)."""
+    method = localizer.method
+    if isinstance(method, Memoryless) and method.memoryless:
+        return _locate_together(localizer, intervals)
+    if isinstance(method, Refining):
+        return _locate_in_stages(localizer, method, intervals)
+    return _locate_in_turn(localizer, intervals)
+
+
+def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Intervals) -> Estimate:
+    """Find coarse positions all together, filter them through time, refine them all together again."""
+    steps, devices = intervals.t_s.shape
+    coarse = localizer.with_method(method.coarse)
+    found = _locate_together(coarse, intervals)
+    smoothed = _filtered_in_turn(method.filter, intervals, found)
+    access_points = method.coarse.init(localizer.site, devices)
+    rows = _flat(intervals)
+    coarse_rows = Estimate(
+        smoothed.positions.flatten(0, 1), smoothed.covariances.flatten(0, 1), smoothed.reasons.flatten()
+    )
+    refined = []
+    for at in track(_chunks(steps * devices, REFINED_ROWS_AT_ONCE), method.name):
+        coarse_chunk = Estimate(
+            coarse_rows.positions[at], coarse_rows.covariances[at], coarse_rows.reasons[at]
+        )
+        refined.append(method.refine(access_points, _rows(rows, at), coarse_chunk))
+    return _joined(refined, steps, devices)
+
+
 def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:
     """Locate every interval of every recording as one batch; estimates have shape (T, B, …)."""
     steps, devices = intervals.t_s.shape
-    flat = Intervals(
+    rows = _flat(intervals)
+    found = []
+    for at in _chunks(steps * devices, ROWS_AT_ONCE):
+        chunk = _rows(rows, at)
+        found.append(localizer.locate(localizer.init(len(chunk.t_s)), chunk)[1])
+    return _joined(found, steps, devices)
+
+
+def _chunks(rows: int, at_once: int) -> list[slice]:
+    """Return slices that cover ``rows``."""
+    return [slice(start, start + at_once) for start in range(0, rows, at_once)]
+
+
+def _flat(intervals: Intervals) -> Intervals:
+    """Return intervals (T, B, …) as rows (T · B, …)."""
+    return Intervals(
         t_s=intervals.t_s.flatten(),
         ranges=intervals.ranges.flatten(0, 1),
         stds=intervals.stds.flatten(0, 1),
@@ -231,14 +282,14 @@ def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:
         heard=intervals.heard.flatten(0, 1),
         present=intervals.present.flatten(),
     )
-    found = []
-    for start in range(0, steps * devices, ROWS_AT_ONCE):
-        chunk = _rows(flat, slice(start, start + ROWS_AT_ONCE))
-        found.append(localizer.locate(localizer.init(len(chunk.t_s)), chunk)[1])
+
+
+def _joined(chunks: Sequence[Estimate], steps: int, devices: int) -> Estimate:
+    """Return estimates of chunks of rows as one of shape (T, B, …)."""
     return Estimate(
-        positions=torch.cat([one.positions for one in found]).reshape(steps, devices, 2),
-        covariances=torch.cat([one.covariances for one in found]).reshape(steps, devices, 2, 2),
-        reasons=torch.cat([one.reasons for one in found]).reshape(steps, devices),
+        positions=torch.cat([one.positions for one in chunks]).reshape(steps, devices, 2),
+        covariances=torch.cat([one.covariances for one in chunks]).reshape(steps, devices, 2, 2),
+        reasons=torch.cat([one.reasons for one in chunks]).reshape(steps, devices),
     )
 
 
@@ -252,13 +303,13 @@ def _locate_in_turn(localizer: Localizer, intervals: Intervals) -> Estimate:
     return _stacked(found)
 
 
-def _smooth_in_turn(localizer: Localizer, intervals: Intervals, found: Estimate) -> Estimate:
-    """Step the filter through time over the method's estimates; shapes (T, B, …)."""
-    state = localizer.init(intervals.t_s.shape[1])
+def _filtered_in_turn(tracker: BatchedFilter, intervals: Intervals, found: Estimate) -> Estimate:
+    """Step a filter through time over estimates; shapes (T, B, …)."""
+    tracks = tracker.init(intervals.t_s.shape[1], device=intervals.t_s.device)
     filtered = []
     for step in range(len(intervals.t_s)):
         fixes = Estimate(found.positions[step], found.covariances[step], found.reasons[step])
-        state, one = localizer.smooth(state, _rows(intervals, step), fixes)
+        tracks, one = tracker.step(tracks, intervals.t_s[step], intervals.present[step], fixes)
         filtered.append(one)
     return _stacked(filtered)
 

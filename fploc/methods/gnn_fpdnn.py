@@ -64,15 +64,18 @@ class GNNFPDNN:
         """Return the state of ``devices`` devices before their first interval."""
         return ChainState(access_points=self.coarse.init(site, devices), coarse=self.filter.init(devices))
 
-    @torch.no_grad()
     def step(self, state: ChainState, intervals: Intervals) -> tuple[ChainState, Estimate]:
         """Locate every device from one interval."""
         _, found = self.coarse.step(state.access_points, intervals)
         tracks, smoothed = self.filter.step(state.coarse, intervals.t_s, intervals.present, found)
-        corrected = self.corrected_ranges(intervals, state.access_points, smoothed)
+        return ChainState(state.access_points, tracks), self.refine(state.access_points, intervals, smoothed)
+
+    @torch.no_grad()
+    def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
+        """Locate every device from one interval and its smoothed coarse position, each row alone."""
+        corrected = self.corrected_ranges(intervals, access_points, coarse)
         sigmas = torch.full_like(corrected, self.sigma_m)
-        solved = self.solver(corrected, state.access_points.double(), sigmas, intervals.heard)
-        return ChainState(state.access_points, tracks), solved
+        return self.solver(corrected, access_points.double(), sigmas, intervals.heard)
 
     def corrected_ranges(self, intervals: Intervals, access_points: Tensor, coarse: Estimate) -> Tensor:
         """Return ζ̂ of every link, shape (B, A), metres; devices without a coarse position keep ζ."""

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
+from torch import Tensor
+
+from fploc.filters.kalman import BatchedFilter
 from fploc.intervals import Estimate, Intervals
 from fploc.sites.site import Site
 
@@ -22,4 +25,33 @@ class Method(Protocol):
 
     def step(self, state: Any, intervals: Intervals) -> tuple[Any, Estimate]:
         """Advance every device that is present by one interval."""
+        ...
+
+
+@runtime_checkable
+class Refining(Protocol):
+    """A method of three parts: coarse positions, a filter over these, and a refinement of every row alone.
+
+    The localizer runs the first and the last part on many intervals at once; only the filter goes through
+    time. Having the parts promises that ``step`` does the same one interval at a time, and that the state of
+    ``coarse`` is the access points' positions, shape (A, 2), metres.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name on the command line and in result records."""
+        ...
+
+    @property
+    def coarse(self) -> Method:
+        """Finds coarse positions, every interval alone."""
+        ...
+
+    @property
+    def filter(self) -> BatchedFilter:
+        """Smooths the coarse positions."""
+        ...
+
+    def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
+        """Return the estimates of rows (B, …) from their smoothed coarse positions."""
         ...
