@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from fploc.errors import BadFileError
 
 if TYPE_CHECKING:
     from lightning.pytorch.loggers import Logger
@@ -25,14 +27,18 @@ class RunLog:
     Args:
         folder: Holds the store ``mlflow.db`` and the runs' files.
         experiment: Name of the experiment.
+
+    Raises:
+        BadFileError: If the store is none, or cannot be written to; as ``record``.
     """
 
     def __init__(self, folder: Path, experiment: str) -> None:
         import mlflow
 
         folder.mkdir(parents=True, exist_ok=True)
-        self.uri = f"sqlite:///{(folder / DATABASE).resolve()}"
-        with warnings.catch_warnings():
+        self._database = (folder / DATABASE).resolve()
+        self.uri = f"sqlite:///{self._database}"
+        with self._usable(), warnings.catch_warnings():
             # MLflow's own use of SQLAlchemy.
             warnings.simplefilter("ignore")
             self._client = mlflow.MlflowClient(tracking_uri=self.uri)
@@ -67,30 +73,48 @@ class RunLog:
         """
         from mlflow.entities import Metric, Param, RunTag
 
-        self._delete_earlier(name, tags)
-        run = self._client.create_run(self._experiment, run_name=name, tags=dict(tags))
-        run_id: str = run.info.run_id
-        finite = {
-            key: value for key, value in metrics.items() if value == value and abs(value) < float("inf")
-        }
-        self._client.log_batch(
-            run_id,
-            metrics=[Metric(key, value, 0, 0) for key, value in finite.items()],
-            params=[Param(key, str(value)) for key, value in parameters.items()],
-            tags=[RunTag(key, value) for key, value in tags.items()],
-        )
-        for file, figure in figures.items():
-            self._client.log_figure(run_id, figure, f"figures/{file}")
-        for label, folder in folders.items():
-            self._client.log_artifacts(run_id, str(folder), artifact_path=label)
-        self._client.set_terminated(run_id)
-        return run_id
+        with self._usable():
+            self._delete_earlier(name, tags)
+            run = self._client.create_run(self._experiment, run_name=name, tags=dict(tags))
+            run_id: str = run.info.run_id
+            finite = {
+                key: value for key, value in metrics.items() if value == value and abs(value) < float("inf")
+            }
+            self._client.log_batch(
+                run_id,
+                metrics=[Metric(key, value, 0, 0) for key, value in finite.items()],
+                params=[Param(key, str(value)) for key, value in parameters.items()],
+                tags=[RunTag(key, value) for key, value in tags.items()],
+            )
+            for file, figure in figures.items():
+                self._client.log_figure(run_id, figure, f"figures/{file}")
+            for label, folder in folders.items():
+                self._client.log_artifacts(run_id, str(folder), artifact_path=label)
+            self._client.set_terminated(run_id)
+            return run_id
 
     def training_logger(self, name: str, tags: Mapping[str, str]) -> Logger:
         """Return a Lightning logger whose run holds the curves of one training."""
         from lightning.pytorch.loggers import MLFlowLogger
 
         return MLFlowLogger(experiment_name=self._name, run_name=name, tracking_uri=self.uri, tags=dict(tags))
+
+    @contextmanager
+    def _usable(self) -> Iterator[None]:
+        """Say in one line that the store cannot be read or written."""
+        from mlflow.exceptions import MlflowException
+        from sqlalchemy.exc import SQLAlchemyError
+
+        try:
+            yield
+        except (MlflowException, SQLAlchemyError) as error:
+            raise BadFileError(
+                self._database,
+                "whole file",
+                value=str(error).splitlines()[0],
+                expected="an MLflow store with room to write to",
+                way_out="free some space, or move the file away: artifacts and records do not depend on it",
+            ) from error
 
     def _delete_earlier(self, name: str, tags: Mapping[str, str]) -> None:
         conditions = [f"attributes.run_name = '{name}'"]

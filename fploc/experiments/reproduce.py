@@ -7,7 +7,7 @@ import logging
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from fploc.evaluation.evaluate import EvaluationRequest, records_of, tracks_of
 from fploc.evaluation.metrics import held_errors_m
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import Record
-from fploc.evaluation.report import TrackedRecord, comparison_rows, page
+from fploc.evaluation.report import Scoring, TrackedRecord, comparison_rows, page, read_tracked_records
 from fploc.evaluation.revision import running_commit
 from fploc.evaluation.run_log import RunLog
 from fploc.experiments.duration import announce_duration
@@ -53,21 +53,6 @@ from fploc.virtual.dropout import Dropout
 
 EXPERIMENT = "fploc"
 FIGURE_LABELS = "repaired"
-
-
-@dataclass(frozen=True)
-class Scoring:
-    """One thing to score: a method at a site, as one run of the log."""
-
-    method: str
-    protocol: str
-    site: str
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """Name of its stage, file and run."""
-        return f"{self.protocol}--{self.site}--{self.method}--seed-{self.seed}"
 
 
 class Reproduction:
@@ -312,8 +297,8 @@ class Reproduction:
 
     def _report(self) -> None:
         scorings = list(self._scorings())
-        lines = [self._records_file(scoring).read_text() for scoring in scorings]
-        tracked = [tracked_record(line) for text in lines for line in text.splitlines()]
+        files = [self._records_file(scoring) for scoring in scorings]
+        tracked = [record for file in files for record in read_tracked_records(file)]
         figures = self.folder / "figures"
         figures.mkdir(parents=True, exist_ok=True)
         for protocol, site in dict.fromkeys((one.protocol, one.site) for one in scorings):
@@ -330,10 +315,8 @@ class Reproduction:
                     made_up=self.world.made_up,
                 )
                 figure.savefig(figures / f"cdf--{protocol}--{site}--{device}.png", dpi=120)
-        (self.folder / "records.jsonl").write_text("".join(lines))
-        (self.folder / "results.md").write_text(
-            page(tracked, preset=self.preset.name, commit=running_commit())
-        )
+        (self.folder / "records.jsonl").write_text("".join(file.read_text() for file in files))
+        (self.folder / "results.md").write_text(page(tracked, preset=self.preset.name))
 
     def _records_file(self, scoring: Scoring) -> Path:
         return self.folder / "scores" / f"{scoring.name}.jsonl"
@@ -374,8 +357,7 @@ def reproduce(
     reproduction = Reproduction(preset, world, data_root, runs)
     announce_duration(preset, reproduction.measured, len(world.targets))
     StageBook(reproduction.folder / "stages").run(reproduction.stages())
-    records = (reproduction.folder / "records.jsonl").read_text().splitlines()
-    tracked = [tracked_record(line) for line in records]
+    tracked = read_tracked_records(reproduction.folder / "records.jsonl")
     title = "MADE-UP BUILDINGS, no real data" if world.made_up else "public data"
     print(f"\nPreset {preset.name}, {title}, {FIGURE_LABELS} labels, metres:")  # noqa: T201
     print_table(comparison_rows(tracked, labels=FIGURE_LABELS))
@@ -388,13 +370,6 @@ def reproduce(
     }.items():
         print(f"{name:>10}: {path}")  # noqa: T201
     sys.stdout.flush()
-
-
-def tracked_record(line: str) -> TrackedRecord:
-    """Return the record of one line of a records file."""
-    values = json.loads(line)
-    own = {name: values.pop(name) for name in ("run_id", "data_hash", "made_up")}
-    return TrackedRecord(Record(**values), **own)
 
 
 def _errors_by_filter(tracks: Sequence[Track]) -> dict[str, NDArray[np.float64]]:
