@@ -11,10 +11,17 @@ from fploc.calibration.offsets import RangeOffsets
 from fploc.calibration.ranges import calibrated_plan_ranges, plan_ranges
 from fploc.datasets.recordings import Recording
 from fploc.filters.kalman import KalmanSettings
+from fploc.floorplan.raster import PlanRaster
 from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.localizer import Localizer, Track, localize
+from fploc.methods.gnn import GNNMethod
+from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
+from fploc.models.deepvit import DeepViT
+from fploc.models.fpdnn import FPDNN, DistanceHead
+from fploc.models.gnn import GNN
 from fploc.sites.site import AccessPoint, Site
+from fploc.solvers.nonlinear import solve_nonlinear
 
 SITE = Site(
     name="box",
@@ -178,3 +185,39 @@ def test_a_device_without_any_reading_has_no_fix_and_no_error() -> None:
     assert track.filtered is not None
     assert set(track.filtered.reasons) == {int(NoFix.NO_READING)}
     assert np.isnan(track.filtered.positions_m).all()
+
+
+def test_refining_all_rows_together_equals_stepping_through_time() -> None:
+    torch.manual_seed(5)
+    vision = DeepViT(20, 200, (20, 10), dim=8, depth=1, num_heads=2, head_dim=4)
+    method = GNNFPDNN(
+        coarse=GNNMethod(GNN(hidden=8, message_width=4, layers=2).eval(), variance_m2=1.0),
+        network=FPDNN(vision, DistanceHead(64)).eval(),
+        plan=PlanRaster(torch.rand(200, 400), torch.tensor([[10.0, 0.0, 20.0], [0.0, -10.0, 180.0]])),
+        crops=vision.crops,
+        solver=solve_nonlinear,
+        sigma_m=0.5,
+        filter_settings=KalmanSettings(),
+    )
+    laps = [recording(40, seed=1), recording(25, seed=2, device=2)]
+    together = localize(method, SITE, laps, NONE, KalmanSettings())
+    for track in together:
+        localizer = Localizer(method, SITE, NONE, KalmanSettings())
+        state = localizer.init(1)
+        one = track.recording
+        for step in range(len(one)):
+            heard = torch.from_numpy(one.heard[step : step + 1])
+            slant = torch.from_numpy(one.slant_m[step : step + 1])
+            intervals = Intervals(
+                t_s=torch.from_numpy(one.t_s[step : step + 1]),
+                ranges=localizer.calibrated(slant, heard),
+                stds=torch.from_numpy(one.std_m[step : step + 1]),
+                rss=torch.from_numpy(one.rss_dbm[step : step + 1]),
+                heard=heard,
+                present=torch.tensor([True]),
+            )
+            state, found = localizer.advance(state, intervals)
+            assert track.filtered is not None
+            np.testing.assert_allclose(
+                found.positions[0].numpy(), track.filtered.positions_m[step], atol=1e-4, equal_nan=True
+            )

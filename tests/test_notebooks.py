@@ -15,8 +15,7 @@ from fploc.datasets.packed import read_packed
 from fploc.errors import MissingFileError
 from fploc.evaluation.evaluate import EvaluationRequest, records_of, source_offsets, tracks_of
 from fploc.evaluation.metrics import held_errors_m
-from fploc.evaluation.report import TrackedRecord, comparison_rows, markdown
-from fploc.experiments.reproduce import Scoring
+from fploc.evaluation.report import Scoring, TrackedRecord, comparison_rows, markdown
 from fploc.experiments.scoring import data_hash
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
 from fploc.sites.made_up import made_up_site

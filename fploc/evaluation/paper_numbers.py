@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from importlib import resources
 
 KALMAN_SUFFIX = "+kf"
+EXPERIMENTS = {"seen": ("seen",), "zero-shot": ("zero-shot", "two devices")}
+"""The paper's experiments that a protocol of ours can be laid beside."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +51,15 @@ def paper_numbers() -> list[PaperNumber]:
     ]
 
 
-def published(method: str, site: str, device: int, *, filtered: bool, metric: str) -> list[PaperNumber]:
-    """Return what the paper says of a method without training on the target, zero-shot rows first."""
+def published(
+    protocol: str, method: str, site: str, device: int, *, filtered: bool, metric: str
+) -> list[PaperNumber]:
+    """Return what the paper says of a method under a protocol, in the order of ``EXPERIMENTS``."""
     name = f"{method}{KALMAN_SUFFIX}" if filtered else method
-    rows = [
+    return [
         row
+        for experiment in EXPERIMENTS.get(protocol, ())
         for row in paper_numbers()
-        if (row.method, row.site, row.device, row.metric) == (name, site, device, metric)
-        and row.experiment in ("zero-shot", "two devices")
+        if (row.experiment, row.method, row.site, row.device, row.metric)
+        == (experiment, name, site, device, metric)
     ]
-    return sorted(rows, key=lambda row: row.experiment != "zero-shot")

@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fploc.errors import BadFileError, MissingFileError
 from fploc.evaluation.paper_numbers import paper_numbers, published
 from fploc.evaluation.records import Record
 
 METRICS = ("rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
 UNKNOWN = "–"
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """One thing to score: a method at a site, as one run of the log."""
+
+    method: str
+    protocol: str
+    site: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Name of its stage, file and run."""
+        return f"{self.protocol}--{self.site}--{self.method}--seed-{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -40,6 +58,42 @@ class TrackedRecord:
         }
 
 
+def tracked_record(line: str) -> TrackedRecord:
+    """Return the record of one line of a records file.
+
+    Raises:
+        ValueError, KeyError, TypeError: If the line holds none.
+    """
+    values = json.loads(line)
+    own = {name: values.pop(name) for name in ("run_id", "data_hash", "made_up")}
+    return TrackedRecord(Record(**values), **own)
+
+
+def read_tracked_records(path: Path) -> list[TrackedRecord]:
+    """Return the records of a file of JSON lines.
+
+    Raises:
+        MissingFileError: If there is no such file.
+        BadFileError: If a line is no such record.
+    """
+    if not path.is_file():
+        raise MissingFileError(path, expected="result records", way_out="make them: fploc reproduce")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    records = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            records.append(tracked_record(line))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise BadFileError(
+                path,
+                f"line {number}",
+                value=f"{type(error).__name__} {error}",
+                expected="a result record as JSON",
+                way_out="make it again: fploc reproduce",
+            ) from error
+    return records
+
+
 def comparison_rows(records: Sequence[TrackedRecord], *, labels: str) -> list[dict[str, str]]:
     """Return methods × sites × devices × {unfiltered, KF}, means over seeds, the paper's RMSE beside.
 
@@ -64,9 +118,10 @@ def markdown(rows: Sequence[dict[str, str]]) -> str:
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
-def page(records: Sequence[TrackedRecord], *, preset: str, commit: str | None) -> str:
+def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
     """Return the results of one preset as a Markdown page."""
     made_up = any(tracked.made_up for tracked in records)
+    revisions = ", ".join(sorted({tracked.record.commit or "unknown" for tracked in records}))
     notice = (
         "**Made-up buildings.** The public data could not be reached: nothing here says anything about "
         "the public sites or the paper.\n\n"
@@ -75,10 +130,11 @@ def page(records: Sequence[TrackedRecord], *, preset: str, commit: str | None) -
         "Repaired labels used RTT in part and favour methods that trust it; both kinds stand below.\n\n"
     )
     parts = [
-        f"# Results of `fploc reproduce --preset {preset}`\n\nRevision {commit or 'unknown'}. {notice}",
+        f"# Results of `fploc reproduce --preset {preset}`\n\nRevision {revisions}. {notice}",
         "Metres. `rmse_m`, `p50_m` and `p90_m` hold the last fix; `rmse_fixed_m` is over intervals with a fix "
-        "of their own; means over recordings and seeds. `paper` is the published RMSE, zero-shot first, "
-        "two-device table second; its labels and subset are not known to be ours.\n",
+        "of their own. The intervals of all recordings of a device count alike; ± is over seeds. `paper` is the "
+        "published RMSE, zero-shot first, two-device table second; its labels and subset are not known to be "
+        "ours. `seen` is memory: the robot retraces one line.\n",
     ]
     for labels in ("repaired", "published"):
         rows = comparison_rows(records, labels=labels)
@@ -92,7 +148,7 @@ def _row(
     protocol: str, site: str, device: int, method: str, filter_name: str, group: Sequence[Record]
 ) -> dict[str, str]:
     filtered = filter_name == "kalman"
-    paper = published(method, site, device, filtered=filtered, metric="rmse_m")
+    paper = published(protocol, method, site, device, filtered=filtered, metric="rmse_m")
     return {
         "protocol": protocol,
         "site": site,
