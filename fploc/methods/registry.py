@@ -11,11 +11,15 @@ from fploc.errors import UnknownNameError
 from fploc.methods.interface import Method
 from fploc.methods.lls import lls
 from fploc.methods.nls import nls
+from fploc.methods.nls_onesided import nls_onesided
+from fploc.methods.nls_robust import nls_robust
 from fploc.methods.trilateration import trilateration
 
 GEOMETRIC_METHODS: Mapping[str, Callable[[], Method]] = {
     "lls": lls,
     "nls": nls,
+    "nls-robust": nls_robust,
+    "nls-onesided": nls_onesided,
     "trilateration": trilateration,
 }
 

@@ -88,8 +88,9 @@ class _Ranges:
     def newton_equations(self, positions: Tensor) -> tuple[Tensor, Tensor]:
         """Return the curvature of the cost, (B, S, 2, 2), and its slope, (B, S, 2).
 
-        Beside JᵀWJ the curvature holds what Gauss–Newton drops, the bending of the range circles,
-        w (1 − d/r) across each line of sight: with residuals of metres it decides the speed.
+        Along each line of sight the curvature is the loss's own. Across it the curvature holds what
+        Gauss–Newton drops, the bending of the range circles, w (1 − d/r): with residuals of metres it decides
+        the speed.
         """
         scaled, jacobian = self.scaled_residuals(positions)
         weights = self.loss.weight(scaled)
@@ -98,7 +99,8 @@ class _Ranges:
         bend = weights * scale * scaled / distances.clamp(min=SHORTEST_DISTANCE_M)
         across = torch.where(scale > 0, bend / scale.square(), 0.0)[..., None]
         identity = torch.eye(2, dtype=positions.dtype, device=positions.device)
-        curvature = (jacobian * (weights[..., None] - across)).mT @ jacobian
+        along = self.loss.curvature(scaled)[..., None]
+        curvature = (jacobian * (along - across)).mT @ jacobian
         curvature = curvature + bend.sum(-1)[..., None, None] * identity
         return curvature, (jacobian * (weights * scaled)[..., None]).sum(-2)
 

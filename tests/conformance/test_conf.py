@@ -16,6 +16,7 @@ from fploc.experiments.scoring import METHODS
 from fploc.floorplan.raster import PlanRaster
 from fploc.graphs.radio_graph import radio_graph
 from fploc.intervals import Intervals
+from fploc.methods.registry import geometric_method
 from fploc.models.deepvit import CROP_WIDTH_M, DeepViT
 from fploc.models.fpdnn import FPDNN
 from fploc.models.generator import Generator
@@ -100,6 +101,13 @@ def test_paper_networks_have_the_published_sizes() -> None:
 def test_small_networks_are_smaller_than_the_published_ones() -> None:
     for name in ("fpdnn", "generator"):
         assert 10 * parameters(made(name)) < parameters(made(f"{name}-paper"))
+
+
+@pytest.mark.parametrize("name", names("method"))
+def test_every_method_file_is_that_of_a_method(name: str) -> None:
+    described = read_conf("method", name)
+    assert described.keys() == {"class_path", "init_args"}
+    assert geometric_method(name).name == name
 
 
 @pytest.mark.parametrize("name", names("preset"))

@@ -133,5 +133,5 @@ def test_a_memoryless_method_returns_its_state_unchanged(name: str) -> None:
 
 
 def test_an_unknown_method_is_named_with_the_known_ones() -> None:
-    with pytest.raises(UnknownNameError, match="'magic', expected one of lls, nls, trilateration"):
+    with pytest.raises(UnknownNameError, match=f"'magic', expected one of {', '.join(GEOMETRIC_METHODS)}"):
         geometric_method("magic")
