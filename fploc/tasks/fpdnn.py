@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import lightning.pytorch as pl
 import torch
 from torch import Tensor
 
 from fploc.datasets.samples import LabelledIntervals
 from fploc.models.fpdnn import FPDNN
+from fploc.tasks.streams import StreamTask
 
 
-class FPDNNTask(pl.LightningModule):
+class FPDNNTask(StreamTask):
     """Mean squared error of the distance (paper, eq. "gradient").
 
     The crop is taken from a coarse position, not from the true one: the truth is moved by Gaussian jitter
@@ -30,23 +30,9 @@ class FPDNNTask(pl.LightningModule):
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-5,
     ) -> None:
-        super().__init__()
+        super().__init__(learning_rate, weight_decay)
         self.network = network
         self.jitter_m = jitter_m
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-
-    def training_step(self, batch: dict[str, LabelledIntervals], batch_index: int) -> Tensor:
-        """Return the mean loss over the streams of ``batch``."""
-        return torch.stack([self._shared_step(part, "train") for part in batch.values()]).mean()
-
-    def validation_step(self, batch: LabelledIntervals, batch_index: int) -> None:
-        """Log the loss on held-out links."""
-        self._shared_step(batch, "val")
-
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Return Adam as published."""
-        return torch.optim.Adam(self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay)
 
     def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
         links = batch.links
@@ -56,7 +42,7 @@ class FPDNNTask(pl.LightningModule):
         distances = (batch.positions[links.device] - links.access_points).norm(dim=-1)
         loss = torch.nn.functional.mse_loss(estimated, distances)
         count = len(distances)
-        self.log(f"{stage}/loss", loss, batch_size=count, on_step=False, on_epoch=True)
+        self.log_mean(f"{stage}/loss", loss, count)
         absolute = (estimated - distances).abs().mean()
-        self.log(f"{stage}/range_mae_m", absolute, batch_size=count, on_step=False, on_epoch=True)
+        self.log_mean(f"{stage}/range_mae_m", absolute, count)
         return loss

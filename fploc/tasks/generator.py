@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import lightning.pytorch as pl
-import torch
 from torch import Tensor
 
 from fploc.datasets.samples import LabelledIntervals
 from fploc.models.generator import Generator
+from fploc.tasks.streams import StreamTask
 
 
-class GeneratorTask(pl.LightningModule):
+class GeneratorTask(StreamTask):
     """Maximum likelihood of range error and signal strength given true distance and crop.
 
     The paper's loss adds m² and dB² (eq. "gradient_rttrss"); a likelihood weighs both by their own spread
@@ -28,22 +27,8 @@ class GeneratorTask(pl.LightningModule):
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-5,
     ) -> None:
-        super().__init__()
+        super().__init__(learning_rate, weight_decay)
         self.network = network
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
-
-    def training_step(self, batch: dict[str, LabelledIntervals], batch_index: int) -> Tensor:
-        """Return the mean loss over the streams of ``batch``."""
-        return torch.stack([self._shared_step(part, "train") for part in batch.values()]).mean()
-
-    def validation_step(self, batch: LabelledIntervals, batch_index: int) -> None:
-        """Log the loss and the error of the mean on held-out links."""
-        self._shared_step(batch, "val")
-
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Return Adam as published."""
-        return torch.optim.Adam(self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay)
 
     def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
         links = batch.links
@@ -54,7 +39,7 @@ class GeneratorTask(pl.LightningModule):
         distribution = self.network(crops.images, crops.lengths_px, distances)
         loss = -(distribution.log_prob_error(errors) + distribution.log_prob_rss(links.rss, errors)).mean()
         count = len(distances)
-        self.log(f"{stage}/nll", loss, batch_size=count, on_step=False, on_epoch=True)
+        self.log_mean(f"{stage}/nll", loss, count)
         absolute = (distribution.mean_error() - errors).abs().mean()
-        self.log(f"{stage}/range_mae_m", absolute, batch_size=count, on_step=False, on_epoch=True)
+        self.log_mean(f"{stage}/range_mae_m", absolute, count)
         return loss

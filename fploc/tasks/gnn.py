@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import lightning.pytorch as pl
 import torch
 from torch import Tensor
 
@@ -12,6 +11,7 @@ from fploc.datasets.samples import LabelledIntervals
 from fploc.graphs.first_estimates import first_estimates
 from fploc.graphs.radio_graph import radio_graph
 from fploc.models.gnn import GNN
+from fploc.tasks.streams import StreamTask
 
 
 def random_turn(device: torch.device) -> Tensor:
@@ -27,7 +27,7 @@ def random_turn(device: torch.device) -> Tensor:
     )
 
 
-class GNNTask(pl.LightningModule):
+class GNNTask(StreamTask):
     """Mean squared distance to the truth (paper, eq. "LossGNN").
 
     In training every batch is turned and mirrored at random, since the network sees directions and the
@@ -40,32 +40,18 @@ class GNNTask(pl.LightningModule):
     """
 
     def __init__(self, network: GNN, learning_rate: float = 2e-4, weight_decay: float = 1e-5) -> None:
-        super().__init__()
+        super().__init__(learning_rate, weight_decay)
         self.network = network
-        self.learning_rate = learning_rate
-        self.weight_decay = weight_decay
 
-    def training_step(self, batch: dict[str, LabelledIntervals], batch_index: int) -> Tensor:
-        """Return the mean loss over the streams of ``batch``."""
-        return torch.stack(
-            [self._shared_step(part, random_turn(self.device), "train") for part in batch.values()]
-        ).mean()
+    def on_validation_epoch_end(self) -> None:
+        """Log the root mean squared error over all validation intervals."""
+        self.log("val/rmse_m", self.trainer.callback_metrics["val/loss"].sqrt())
 
-    def validation_step(self, batch: LabelledIntervals, batch_index: int) -> None:
-        """Log the loss and the RMSE on held-out intervals."""
-        self._shared_step(batch, torch.eye(2, device=self.device), "val")
-
-    def configure_optimizers(self) -> torch.optim.Optimizer:
-        """Return Adam as published."""
-        return torch.optim.Adam(self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay)
-
-    def _shared_step(self, batch: LabelledIntervals, turn: Tensor, stage: str) -> Tensor:
+    def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
+        turn = random_turn(self.device) if stage == "train" else torch.eye(2, device=self.device)
         access_points = batch.access_points @ turn.T
         first = first_estimates(batch.intervals, access_points)
         coarse = self.network(radio_graph(batch.intervals, access_points, first))
         loss = (coarse - batch.positions @ turn.T).square().sum(-1).mean()
-        count = len(coarse)
-        self.log(f"{stage}/loss", loss, batch_size=count, on_step=False, on_epoch=True)
-        if stage == "val":
-            self.log("val/mse_m2", loss, batch_size=count, on_step=False, on_epoch=True)
+        self.log_mean(f"{stage}/loss", loss, len(coarse))
         return loss

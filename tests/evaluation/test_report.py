@@ -1,11 +1,21 @@
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from fploc.errors import BadFileError, MissingFileError
 from fploc.evaluation.records import Record
-from fploc.evaluation.report import UNKNOWN, TrackedRecord, comparison_rows, markdown, page
+from fploc.evaluation.report import (
+    UNKNOWN,
+    TrackedRecord,
+    comparison_rows,
+    markdown,
+    page,
+    read_tracked_records,
+)
 
 RECORD = Record(
     method="gnn",
@@ -109,7 +119,7 @@ def test_markdown_holds_one_line_for_each_row() -> None:
 
 
 def test_a_page_of_public_data_shows_both_labels_and_the_papers_numbers() -> None:
-    text = page(tracked({}, {"labels": "published"}), preset="full", commit="abc")
+    text = page(tracked({}, {"labels": "published"}), preset="full")
     assert "## Repaired labels" in text and "## Published labels" in text
     assert "development sites" in text and "## The paper's own numbers" in text
     assert "fploc reproduce --preset full" in text and "Revision abc." in text
@@ -117,7 +127,7 @@ def test_a_page_of_public_data_shows_both_labels_and_the_papers_numbers() -> Non
 
 
 def test_a_page_of_made_up_buildings_says_so_and_compares_nothing() -> None:
-    text = page(tracked({"site": "made-up-2"}, made_up=True), preset="smoke", commit=None)
+    text = page(tracked({"site": "made-up-2", "commit": None}, made_up=True), preset="smoke")
     assert "**Made-up buildings.**" in text and "Revision unknown." in text
     assert "## The paper's own numbers" not in text
     assert f"| {UNKNOWN} |" in text
@@ -126,3 +136,24 @@ def test_a_page_of_made_up_buildings_says_so_and_compares_nothing() -> None:
 def test_a_line_of_a_records_file_is_the_record_and_where_it_came_from() -> None:
     (one,) = tracked({})
     assert list(one.as_json()) == [*RECORD.as_json(), "run_id", "data_hash", "made_up"]
+
+
+def test_records_are_read_back_as_they_were(tmp_path: Path) -> None:
+    records = tracked({}, {"device": 2, "rmse_m": None}, made_up=True)
+    file = tmp_path / "records.jsonl"
+    file.write_text("".join(json.dumps(one.as_json()) + "\n" for one in records))
+    assert read_tracked_records(file) == records
+
+
+@pytest.mark.parametrize("line", ["", "[1]", '{"run_id": 1}', "{", "3"])
+def test_a_line_that_is_no_record_is_named(line: str, tmp_path: Path) -> None:
+    (one,) = tracked({})
+    file = tmp_path / "records.jsonl"
+    file.write_text(f"{json.dumps(one.as_json())}\n{line}\n")
+    with pytest.raises(BadFileError, match=r"records\.jsonl, line 2: found .*make it again"):
+        read_tracked_records(file)
+
+
+def test_a_missing_file_of_records_is_named(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match=r"none\.jsonl: found nothing"):
+        read_tracked_records(tmp_path / "none.jsonl")

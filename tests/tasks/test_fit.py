@@ -44,7 +44,7 @@ def generator_task() -> GeneratorTask:
 
 
 METRICS: list[tuple[Callable[[], pl.LightningModule], set[str]]] = [
-    (gnn_task, {"train/loss", "val/loss", "val/mse_m2"}),
+    (gnn_task, {"train/loss", "val/loss", "val/rmse_m"}),
     (fpdnn_task, {"train/loss", "train/range_mae_m", "val/loss", "val/range_mae_m"}),
     (generator_task, {"train/nll", "train/range_mae_m", "val/nll", "val/range_mae_m"}),
 ]
