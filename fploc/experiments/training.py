@@ -169,13 +169,13 @@ def train_chain(
     validation = measured.val_dataloader()
     specs = preset.network_specs
     suffix = "" if start is None else "_adapted"
-    gnn = instantiate(GNN, specs["gnn"]) if start is None else copy.deepcopy(start.gnn)
+    gnn = instantiate(GNN, specs["gnn"]) if start is None else copy.deepcopy(start.gnn).train()
     gnn_task = GNNTask(gnn, learning_rate=preset.learning_rates["gnn"])
     gnn_metrics = fit(
         gnn_task, streams, validation, epochs=preset.epochs[f"gnn{suffix}"], logger=logger, folder=folder
     )
     variance_m2 = gnn_metrics["val/loss"] / 2.0
-    fpdnn = instantiate(FPDNN, specs["fpdnn"]) if start is None else copy.deepcopy(start.fpdnn)
+    fpdnn = instantiate(FPDNN, specs["fpdnn"]) if start is None else copy.deepcopy(start.fpdnn).train()
     fpdnn_task = FPDNNTask(
         fpdnn,
         jitter_m=variance_m2**0.5,
