@@ -36,7 +36,7 @@ def fit_from_command_line(words: Sequence[str]) -> None:
             subclass_mode_model=True,
             subclass_mode_data=True,
             save_config_callback=None,
-            parser_kwargs=RAISING | {"fit": RAISING},
+            parser_kwargs={"prog": "fploc", "fit": RAISING} | RAISING,
             args=["fit", *_resolved(words, Path(conf))],
         )
 

@@ -1,0 +1,185 @@
+"""The command ``fploc``: what it answers, how fast, and the issue's outside checks through it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fploc.cli import main
+
+FPLOC = Path(sys.executable).with_name("fploc")
+COMMANDS = [
+    [],
+    ["data"],
+    ["data", "download"],
+    ["data", "verify"],
+    ["data", "build"],
+    ["data", "describe"],
+    ["made-up"],
+    ["evaluate"],
+    ["reproduce"],
+    ["fit"],
+]
+HEAVY = ("torch", "lightning", "mlflow", "timm", "torch_geometric", "pandas")
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_explains_itself(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*command, "--help"])
+    assert ended.value.code == 0
+    out = capsys.readouterr().out
+    assert out.startswith("usage: fploc") and "--help" in out
+
+
+def test_help_answers_within_a_second(tmp_path: Path) -> None:
+    seconds = []
+    for _ in range(3):
+        began = time.perf_counter()
+        done = subprocess.run([FPLOC, "--help"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        seconds.append(time.perf_counter() - began)
+        assert done.returncode == 0 and done.stderr == ""
+    assert min(seconds) < 1.0
+    assert all(name in done.stdout for name in ("data", "made-up", "fit", "evaluate", "reproduce"))
+
+
+def test_the_command_line_loads_nothing_heavy() -> None:
+    code = "import sys, fploc.cli; fploc.cli.make_parser(); print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "fploc.cli" in done.stdout.split()
+    assert not set(HEAVY) & set(done.stdout.split())
+
+
+def test_both_ways_in_are_the_same() -> None:
+    ways = ([FPLOC, "--version"], [sys.executable, "-m", "fploc", "--version"])
+    printed = [subprocess.run(way, capture_output=True, text=True, check=True).stdout for way in ways]
+    assert printed[0] == printed[1] and printed[0].startswith("fploc ")
+
+
+@pytest.mark.parametrize(
+    ("words", "see"),
+    [
+        ([], "fploc --help"),
+        (["fly"], "fploc --help"),
+        (["data"], "fploc data --help"),
+        (["data", "--fast"], "fploc data --help"),
+        (["data", "build", "--sites"], "fploc data build --help"),
+        (["evaluate", "--method", "nls"], "fploc evaluate --help"),
+        (["evaluate", "--method", "nls", "--site", "office", "--thin", "two"], "fploc evaluate --help"),
+        (["evaluate", "--method", "nls", "--site", "office", "--speed-prior", "x"], "fploc evaluate --help"),
+        (["made-up", "--seed", "x", "--out", "here"], "fploc made-up --help"),
+        (["reproduce", "--presets", "smoke"], "fploc reproduce --help"),
+        (["fit", "--trainer.max_epochs=x"], "fploc fit --help"),
+        (["fit"], "fploc fit --help"),
+    ],
+    ids=" ".join,
+)
+def test_refused_words_end_in_one_line(
+    words: list[str],
+    see: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and len(err.splitlines()) == 1
+    assert err.startswith("fploc: ") and err.endswith(f"; see `{see}`\n")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", [None, "a: [", "thinn: 2\n"], ids=["missing", "no YAML", "unknown key"])
+def test_a_configuration_that_cannot_be_used_is_one_line(
+    text: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "evaluate.yaml"
+    if text is not None:
+        file.write_text(text)
+    assert main(["evaluate", "--method", "nls", "--site", "office", "--config", str(file)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_options_may_stand_in_a_file(
+    data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "evaluate.yaml"
+    options = {"method": "lls", "site": "laboratory", "device": "2", "thin": 30, "data_root": str(data_root)}
+    file.write_text(yaml.safe_dump(options))
+    assert main(["evaluate", "--config", str(file), "--thin", "40", "--json", "-"]) == 0
+    records = json.loads(capsys.readouterr().out)
+    assert {(one["method"], one["device"], one["thin"]) for one in records} == {("lls", 2, 40)}
+
+
+@pytest.mark.parametrize(
+    ("site", "device", "calibration", "metres", "tolerance"),
+    [
+        ("shopping-mall", 1, "none", 2.62, 0.1),
+        ("shopping-mall", 2, "none", 6.9, 0.5),
+        ("laboratory", 1, "none", 4.59, 0.1),
+        ("laboratory", 2, "none", 4.29, 0.1),
+        ("shopping-mall", 1, "1.0", 1.52, 0.1),
+        ("shopping-mall", 1, "2.4", 1.10, 0.1),
+    ],
+)
+def test_outside_checks(
+    site: str,
+    device: int,
+    calibration: str,
+    metres: float,
+    tolerance: float,
+    data_root: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["--method", "nls", "--protocol", "zero-shot", "--site", site, "--device", str(device)]
+    scored = ["--calibration", calibration, "--labels", "published", "--data-root", str(data_root)]
+    assert main(["evaluate", *words, *scored, "--json", "-"]) == 0
+    (record,) = [one for one in json.loads(capsys.readouterr().out) if one["filter"] == "none"]
+    assert (record["device"], record["calibration"], record["labels"]) == (device, calibration, "published")
+    assert record["rmse_fixed_m"] == pytest.approx(metres, abs=tolerance)
+
+
+def test_the_data_root_is_an_option_or_a_variable(
+    data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FPLOC_DATA", str(data_root))
+    words = ["evaluate", "--method", "lls", "--site", "laboratory", "--thin", "50", "--calibration", "1.0"]
+    assert main(words) == 0
+    assert "rmse_m" in capsys.readouterr().out
+    assert main([*words, "--data-root", str(tmp_path)]) == 2
+
+
+def test_a_made_up_building_is_written_packed_and_described(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FPLOC_SOURCE", "/nonexistent")
+    assert main(["made-up", "--seed", "7", "--out", "building"]) == 0
+    said = capsys.readouterr().out
+    assert "fploc data build --sites building/made-up-7.yaml" in said
+    assert main(["data", "build", "--sites", "building/made-up-7.yaml", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["site"], row["state"]) == ("made-up-7", "built")
+    assert main(["data", "describe", "--sites", "made-up-7", "--out", "pictures"]) == 0
+    out, err = capsys.readouterr()
+    assert "made-up-7" in out and err == "picture: pictures/made-up-7.png\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["building", "data", "pictures"]
+
+
+def test_an_interruption_ends_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fploc.datasets.download.resolve_source", interrupt)
+    assert main(["data", "download", "--data-root", str(tmp_path)]) == 130
+    assert (
+        capsys.readouterr().err == "fploc: interrupted; the next call goes on from the last finished step\n"
+    )
