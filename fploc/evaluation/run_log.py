@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from lightning.pytorch.loggers import Logger
     from matplotlib.figure import Figure
 
-os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-
 DATABASE = "mlflow.db"
 ARTIFACTS = "mlflow-artifacts"
 
@@ -33,6 +31,8 @@ class RunLog:
     """
 
     def __init__(self, folder: Path, experiment: str) -> None:
+        os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
+        os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")
         import mlflow
 
         folder.mkdir(parents=True, exist_ok=True)

@@ -17,8 +17,6 @@ from fploc.errors import MissingFileError
 CONFIG = "--config"
 RAISING = {"exit_on_error": False}
 """Of a parser: what it refuses goes to the caller, who prints it in one line."""
-# What an experiment logs to is given by its path alone; MLflow then says nothing to anyone else.
-os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
 
 def fit_from_command_line(words: Sequence[str]) -> None:
@@ -29,6 +27,7 @@ def fit_from_command_line(words: Sequence[str]) -> None:
     """
     # The words come from the command line itself, which Lightning cannot know.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
+    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     with resources.as_file(conf_folder()) as conf:
         LightningCLI(
             pl.LightningModule,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fploc.artifacts import Artifact, ArtifactKey, load_artifact
@@ -20,7 +20,7 @@ from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.raster import PlanRaster
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
-from fploc.methods.interface import Method
+from fploc.methods.interface import Calibrated, Method
 from fploc.methods.one_shot import RangeSolver
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
 from fploc.solvers.linear import solve_linear
@@ -62,6 +62,12 @@ def artifacts_folder(runs: Path) -> Path:
     return runs / "artifacts"
 
 
+def default_calibration(name: str) -> str:
+    """Return the calibration that the method ``name``, which needs no training, runs with unless asked."""
+    method = geometric_method(name)
+    return method.default_calibration if isinstance(method, Calibrated) else DEFAULT_CALIBRATION
+
+
 def ready_method(
     name: str, request: EvaluationRequest, calibration: str | None, data_root: Path, runs: Path
 ) -> ReadyMethod:
@@ -70,7 +76,7 @@ def ready_method(
     Args:
         name: Of the method.
         request: What is asked of it.
-        calibration: As asked for; None takes the artifact's, or ``source-los`` for geometric methods.
+        calibration: As asked for; None takes the artifact's, or the request's for geometric methods.
         data_root: Folder of packed sites.
         runs: Folder of runs.
 
@@ -148,7 +154,7 @@ def chosen_plan(name: str, target: PackedSite, data_root: Path) -> FloorPlan:
 def answer(
     name: str, request: EvaluationRequest, calibration: str | None, data_root: Path, runs: Path
 ) -> list[Record]:
-    """Return the records of `fploc evaluate`.
+    """Return the records of `fploc evaluate`; a calibration of None is the method's own.
 
     Raises:
         FplocError: If an option cannot be used, or data or artifact are not there.
@@ -158,5 +164,7 @@ def answer(
         raise FplocError(
             "--preset", value=request.preset, expected=", ".join(PRESETS), way_out="choose one of these"
         )
+    if calibration is None and name not in LEARNED_METHODS:
+        request = replace(request, calibration=default_calibration(name))
     ready = ready_method(name, request, calibration, data_root, runs)
     return evaluate(ready.method, request, data_root, offsets=ready.offsets, artifact=ready.artifact)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from fploc.sites.made_up import made_up_site
 
 MADE_UP_SEEDS = (1, 2, 3)
 MADE_UP_LAPS = 5
+NOTICE_WIDTH = 88
 
 
 @dataclass(frozen=True)
@@ -44,14 +46,7 @@ def prepare_world(data_root: Path, given: Path | None, targets: Sequence[str]) -
     try:
         source = resolve_source(data_root, given, sites)
     except UnreachableError as error:
-        _say(
-            "\n"
-            "  ┌─ No data ─────────────────────────────────────────────────────────────────\n"
-            f"  │ {error}\n"
-            "  │ Going on with MADE-UP BUILDINGS: every table, figure and run says so.\n"
-            "  │ For the real data: connect to the network, or set FPLOC_SOURCE to a copy.\n"
-            "  └───────────────────────────────────────────────────────────────────────────\n"
-        )
+        _say(_no_data_notice(str(error)))
         return _made_up_world(data_root)
     present, absent = split_by_presence(source, sites)
     if PUBLIC_SOURCE not in present:
@@ -66,6 +61,18 @@ def prepare_world(data_root: Path, given: Path | None, targets: Sequence[str]) -
     for site in track(present, "build"):
         build_sites(source, data_root, [site])
     return World(PUBLIC_SOURCE, tuple(site for site in targets if site in present), made_up=False)
+
+
+def _no_data_notice(reason: str) -> str:
+    """Return the block that says why there are no data and what happens instead."""
+    paragraphs = (
+        reason,
+        "Going on with MADE-UP BUILDINGS: every table, figure and run made from them says so.",
+        "For the real data: connect to the network, or set FPLOC_SOURCE to a local copy.",
+    )
+    wrapped = [line for paragraph in paragraphs for line in textwrap.wrap(paragraph, NOTICE_WIDTH)]
+    body = "\n".join(f"  │ {line}" for line in wrapped)
+    return f"\n  ┌─ No data {'─' * (NOTICE_WIDTH - 8)}\n{body}\n  └{'─' * (NOTICE_WIDTH + 2)}\n"
 
 
 def _made_up_world(data_root: Path) -> World:
