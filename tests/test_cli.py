@@ -78,7 +78,7 @@ def test_both_ways_in_are_the_same() -> None:
         (["fit", "--trainer.max_epochs=x"], "fploc fit --help"),
         (["fit"], "fploc fit --help"),
     ],
-    ids=" ".join,
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_refused_words_end_in_one_line(
     words: list[str],

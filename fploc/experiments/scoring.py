@@ -141,14 +141,25 @@ def chosen_plan(name: str, target: PackedSite, data_root: Path) -> FloorPlan:
     Raises:
         UnknownNameError: If it is none of these.
     """
+    check_plan(name, data_root)
     if name == "real":
         return target.plan
     if name == "blank":
         return target.plan.blank()
+    return read_packed(data_root, name).plan.placed_as(target.plan)
+
+
+def check_plan(name: str, data_root: Path) -> None:
+    """Raise where no plan has this name: methods that look at none would record it all the same.
+
+    Raises:
+        UnknownNameError: If it is none of those that ``chosen_plan`` knows.
+    """
+    if name in ("real", "blank"):
+        return
     known = packed_sites(data_root)
     if name not in known:
         raise UnknownNameError("--plan", name, known=["real", "blank", *known], way_out="choose one of these")
-    return read_packed(data_root, name).plan.placed_as(target.plan)
 
 
 def answer(
@@ -164,6 +175,7 @@ def answer(
         raise FplocError(
             "--preset", value=request.preset, expected=", ".join(PRESETS), way_out="choose one of these"
         )
+    check_plan(request.plan, data_root)
     if calibration is None and name not in LEARNED_METHODS:
         request = replace(request, calibration=default_calibration(name))
     ready = ready_method(name, request, calibration, data_root, runs)
