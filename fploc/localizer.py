@@ -23,7 +23,7 @@ from fploc.calibration.ranges import plan_ranges
 from fploc.datasets.recordings import PaddedRecordings, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.intervals import Estimate, Intervals, NoFix
-from fploc.methods.interface import Method, Refining
+from fploc.methods.interface import Filtering, Method, Refining
 from fploc.methods.one_shot import Memoryless
 from fploc.progress import track
 from fploc.sites.site import Site
@@ -65,11 +65,13 @@ class Track:
         recording: The readings it was made from.
         unfiltered: The method's own fixes.
         filtered: After the Kalman filter, whose time is added; None where no filter was asked for.
+        own_filter: True where the method's own fixes went through a filter of its own.
     """
 
     recording: Recording
     unfiltered: Path
     filtered: Path | None
+    own_filter: bool
 
     @property
     def t_s(self) -> NDArray[np.float64]:
@@ -193,7 +195,7 @@ def localize(
         own = None
         if filtered is not None:
             own = _path(filtered, index, length, ms_per_fix=1000.0 * (smoothed - started) / count)
-        tracks.append(Track(recording, unfiltered, own))
+        tracks.append(Track(recording, unfiltered, own, own_filter=isinstance(method, Filtering)))
     return tracks
 
 

@@ -24,11 +24,11 @@ from fploc.evaluation.revision import running_commit
 from fploc.filters.kalman import HEADLINE_SPEED_MPS, KalmanSettings
 from fploc.localizer import Path as DevicePath
 from fploc.localizer import Track, localize
-from fploc.methods.interface import Method
+from fploc.methods.interface import Filtering, Method
 
 PUBLISHED, REPAIRED, BOTH = "published", "repaired", "both"
 LABELS = (PUBLISHED, REPAIRED, BOTH)
-UNFILTERED, KALMAN = "none", "kalman"
+UNFILTERED, KALMAN, OWN = "none", "kalman", "own"
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class EvaluationRequest:
         calibration: How range offsets are fitted on the source, or a number of metres.
         labels: ``published``, ``repaired`` or ``both``.
         plan: Which plan the method was made with: it is recorded here and acts in the method.
-        speed_prior: Of the filter, metres per second.
+        speed_prior: Of the filter, and of a method that is one itself, metres per second.
         thin: Keep every ``thin``-th interval with the original time step.
         preset: That the method was trained with.
         seed: Of the method's training.
@@ -113,7 +113,8 @@ def tracks_of(
     recordings = protocol_of(request.protocol, request.source).testing(target, request.device)
     removed = source_offsets(request, data_root) if offsets is None else offsets
     thinned = [one.thinned(request.thin) for one in recordings]
-    return localize(method, target.site, thinned, removed, KalmanSettings.for_speed(request.speed_prior))
+    paced = method.for_speed(request.speed_prior) if isinstance(method, Filtering) else method
+    return localize(paced, target.site, thinned, removed, KalmanSettings.for_speed(request.speed_prior))
 
 
 def records_of(
@@ -171,7 +172,8 @@ def _labels_there(request: EvaluationRequest, recordings: Sequence[Recording]) -
 
 def _paths_by_filter(tracks: Sequence[Track]) -> dict[str, list[DevicePath]]:
     """Return the paths of every track by the name of the filter."""
-    paths = {UNFILTERED: [track.unfiltered for track in tracks]}
+    name = OWN if tracks[0].own_filter else UNFILTERED
+    paths = {name: [track.unfiltered for track in tracks]}
     filtered = [track.filtered for track in tracks if track.filtered is not None]
     if filtered:
         paths[KALMAN] = filtered

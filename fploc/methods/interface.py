@@ -55,3 +55,22 @@ class Refining(Protocol):
     def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
         """Return the estimates of rows (B, …) from their smoothed coarse positions."""
         ...
+
+
+@runtime_checkable
+class Filtering(Protocol):
+    """A method that is a filter over time itself: its fixes are never unfiltered ones."""
+
+    def for_speed(self, speed_prior_mps: float) -> Method:
+        """Return the method for people who walk at about ``speed_prior_mps``, metres per second."""
+        ...
+
+
+@runtime_checkable
+class Calibrated(Protocol):
+    """A method whose parameters belong to one calibration, which it runs with unless another is asked for."""
+
+    @property
+    def default_calibration(self) -> str:
+        """What ``--calibration`` takes."""
+        ...

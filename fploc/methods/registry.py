@@ -8,11 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from fploc.errors import UnknownNameError
+from fploc.methods.bayes_grid import BayesGrid
 from fploc.methods.interface import Method
 from fploc.methods.lls import lls
 from fploc.methods.nls import nls
 from fploc.methods.nls_onesided import nls_onesided
 from fploc.methods.nls_robust import nls_robust
+from fploc.methods.rtt_rss import RttRss
 from fploc.methods.trilateration import trilateration
 
 GEOMETRIC_METHODS: Mapping[str, Callable[[], Method]] = {
@@ -21,6 +23,8 @@ GEOMETRIC_METHODS: Mapping[str, Callable[[], Method]] = {
     "nls-robust": nls_robust,
     "nls-onesided": nls_onesided,
     "trilateration": trilateration,
+    "rtt-rss": RttRss,
+    "bayes-grid": BayesGrid,
 }
 
 

@@ -53,6 +53,23 @@ def test_nls_with_an_offset_meets_the_outside_checks(
     assert chosen(records, filter="none").rmse_fixed_m == pytest.approx(metres, abs=0.03)
 
 
+def test_the_onesided_loss_meets_its_outside_check(data_root: Path) -> None:
+    records = run(replace(LABORATORY, device="1", calibration="1.0"), data_root, "nls-onesided")
+    assert chosen(records, filter="kalman").rmse_m == pytest.approx(1.17, rel=0.1)
+
+
+def test_the_grid_filter_meets_its_outside_check(data_root: Path) -> None:
+    records = run(replace(LABORATORY, device="1", speed_prior=0.5), data_root, "bayes-grid")
+    assert chosen(records, filter="own").rmse_m == pytest.approx(1.43, rel=0.03)
+
+
+def test_a_method_that_is_a_filter_is_recorded_so_and_takes_the_speed_prior(data_root: Path) -> None:
+    request = replace(SHORT, thin=20)
+    slow, fast = (run(replace(request, speed_prior=speed), data_root, "bayes-grid") for speed in (0.5, 1.4))
+    assert [record.filter for record in slow] == ["own", "kalman"]
+    assert all(one.rmse_m != other.rmse_m for one, other in zip(slow, fast, strict=True))
+
+
 def test_there_is_a_record_for_each_device_label_and_filter(data_root: Path) -> None:
     records = run(replace(LABORATORY, labels="both", thin=5), data_root, "trilateration")
     found = [(record.device, record.labels, record.filter) for record in records]

@@ -1,0 +1,201 @@
+"""``bayes-grid``: a belief over grid cells, moved and updated at every interval (Horn, Sensors 2020, 20:4027;
+Horn, Sensors 2022, 22:3091).
+
+From the sources: probabilities on a grid, a random walk between intervals, and an observation model on the ratio
+of measured to true range, a double exponential with a flat top. Reconstructed here: the belief covers the access
+points' bounding box and a margin; walls do not stop the walk; each interval blurs the belief by v·dt and multiplies
+it by Π (p(m|r) + floor), where with ρ = (m − b₀)/r
+
+    p(m|r) = exp(−max(0, (L − ρ)/s_L, (ρ − U)/s_R)) / (r (s_L + U − L + s_R));
+
+the estimate is the belief's mean. Sums stand in for logarithms: the belief is scaled to sum 1 at every interval and
+the floor keeps every factor above 0.
+
+Axes: B devices, A access points, X and Y cells.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from fploc.conf import instantiate, read_conf
+from fploc.intervals import Estimate, Intervals, NoFix, estimate
+from fploc.sites.site import Site
+
+NAME = "bayes-grid"
+KERNEL_REACH = 4.0
+"""Cells beyond so many standard deviations get nothing of a blur."""
+
+
+@dataclass(frozen=True)
+class BayesGridSettings:
+    """Settings of the grid filter: conf/method/bayes-grid.yaml.
+
+    Args:
+        cell_m: Side of a cell, metres.
+        margin_m: Of the grid around the access points' bounding box, metres.
+        speed_prior_mps: v: the belief spreads by v·dt per axis between intervals.
+        bias_m: b₀, subtracted from every range, metres.
+        ratio_low: L, lower end of the flat top.
+        ratio_high: U, upper end of the flat top.
+        scale_low: s_L, decay of the density below L.
+        scale_high: s_R, decay of the density above U.
+        floor_per_m: Density of ranges that the model does not explain, per metre.
+        calibration: Range offsets that the parameters above were fitted behind.
+    """
+
+    cell_m: float
+    margin_m: float
+    speed_prior_mps: float
+    bias_m: float
+    ratio_low: float
+    ratio_high: float
+    scale_low: float
+    scale_high: float
+    floor_per_m: float
+    calibration: str
+
+    @classmethod
+    def read(cls) -> BayesGridSettings:
+        """Return the settings in conf/method/bayes-grid.yaml."""
+        return instantiate(cls, read_conf("method", NAME), source=f"conf/method/{NAME}.yaml")
+
+
+@dataclass(frozen=True)
+class BeliefState:
+    """Beliefs of a batch of devices.
+
+    Args:
+        xs_m: Cell centres along x, shape (X,), metres, site frame.
+        ys_m: Cell centres along y, shape (Y,), metres, site frame.
+        nearness: 1/r from each access point to each cell, shape (A, X · Y), 1/m, float32.
+        beliefs: Probability of each cell, shape (B, X, Y).
+        t_s: Time of each belief, shape (B,), seconds.
+        started: True once a device heard something, shape (B,).
+    """
+
+    xs_m: Tensor
+    ys_m: Tensor
+    nearness: Tensor
+    beliefs: Tensor
+    t_s: Tensor
+    started: Tensor
+
+
+class BayesGrid:
+    """The grid filter as a method. The belief is its own filter: it needs none behind it.
+
+    A device has a fix from its first reading on, be it of one access point: the covariance says how little
+    that is. An interval without a reading spreads the belief and stays without a fix.
+
+    Args:
+        settings: Of the filter; None for those of conf/method/bayes-grid.yaml.
+    """
+
+    name = NAME
+
+    def __init__(self, settings: BayesGridSettings | None = None) -> None:
+        self.settings = BayesGridSettings.read() if settings is None else settings
+
+    @property
+    def default_calibration(self) -> str:
+        """What the observation model was fitted behind."""
+        return self.settings.calibration
+
+    def for_speed(self, speed_prior_mps: float) -> BayesGrid:
+        """Return the method for people who walk at about ``speed_prior_mps``."""
+        return BayesGrid(replace(self.settings, speed_prior_mps=speed_prior_mps))
+
+    def init(self, site: Site, devices: int) -> BeliefState:
+        """Return uniform beliefs of ``devices`` devices."""
+        access_points = torch.from_numpy(site.positions_m)
+        xs_m, ys_m = (self._centres(access_points[:, axis]) for axis in (0, 1))
+        cells = torch.cartesian_prod(xs_m, ys_m)
+        distances = torch.cdist(access_points, cells).clamp(min=self.settings.cell_m / 2)
+        shape = (devices, len(xs_m), len(ys_m))
+        return BeliefState(
+            xs_m=xs_m,
+            ys_m=ys_m,
+            nearness=distances.reciprocal().float(),
+            beliefs=torch.full(shape, 1 / len(cells), dtype=torch.float64),
+            t_s=torch.zeros(devices, dtype=torch.float64),
+            started=torch.zeros(devices, dtype=torch.bool),
+        )
+
+    def step(self, state: BeliefState, intervals: Intervals) -> tuple[BeliefState, Estimate]:
+        """Blur the belief of every device that is present, and multiply it by what was heard."""
+        hears = intervals.heard.any(-1) & intervals.present
+        t_s = torch.where(state.started, torch.maximum(intervals.t_s.double(), state.t_s), intervals.t_s)
+        dt_s = torch.where(state.started & intervals.present, t_s - state.t_s, 0.0)
+        moved = blurred(state.beliefs, self.settings.speed_prior_mps * dt_s / self.settings.cell_m)
+        weighted = moved * self._likelihoods(state, intervals).reshape(moved.shape)
+        beliefs = weighted / weighted.sum((1, 2), keepdim=True)
+        present = intervals.present[:, None, None]
+        new = replace(
+            state,
+            beliefs=torch.where(present, beliefs, state.beliefs),
+            t_s=torch.where(intervals.present, t_s.double(), state.t_s),
+            started=state.started | hears,
+        )
+        reasons = torch.where(hears, int(NoFix.FIXED), int(NoFix.NO_READING))
+        return new, estimate(*self._moments(new), reasons)
+
+    def _centres(self, coordinates: Tensor) -> Tensor:
+        """Return cell centres that cover access points' coordinates, shape (A,), and the margin."""
+        low = float(coordinates.min()) - self.settings.margin_m
+        high = float(coordinates.max()) + self.settings.margin_m
+        count = math.ceil((high - low) / self.settings.cell_m)
+        return low + self.settings.cell_m * (torch.arange(count, dtype=torch.float64) + 0.5)
+
+    def _likelihoods(self, state: BeliefState, intervals: Intervals) -> Tensor:
+        """Return Π (p(m|r) + floor) over the access points heard, shape (B, X · Y)."""
+        model = self.settings
+        density = 1 / (model.scale_low + model.ratio_high - model.ratio_low + model.scale_high)
+        ratios = (intervals.ranges.float() - model.bias_m)[..., None] * state.nearness
+        below = (model.ratio_low - ratios) / model.scale_low
+        above = (ratios - model.ratio_high) / model.scale_high
+        explained = torch.exp(-torch.maximum(below, above).clamp_(min=0.0)) * (density * state.nearness)
+        factors = torch.where(intervals.heard[..., None], explained + model.floor_per_m, 1.0)
+        return factors.double().prod(1)
+
+    def _moments(self, state: BeliefState) -> tuple[Tensor, Tensor]:
+        """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of the beliefs."""
+        over_x, over_y = state.beliefs.sum(2), state.beliefs.sum(1)
+        mean_x, mean_y = over_x @ state.xs_m, over_y @ state.ys_m
+        away_x, away_y = state.xs_m - mean_x[:, None], state.ys_m - mean_y[:, None]
+        within_cell = self.settings.cell_m**2 / 12
+        variance_x = (over_x * away_x.square()).sum(1) + within_cell
+        variance_y = (over_y * away_y.square()).sum(1) + within_cell
+        shared = torch.einsum("bxy,bx,by->b", state.beliefs, away_x, away_y)
+        rows = [torch.stack([variance_x, shared], -1), torch.stack([shared, variance_y], -1)]
+        return torch.stack([mean_x, mean_y], -1), torch.stack(rows, -2)
+
+
+def blurred(beliefs: Tensor, spreads: Tensor) -> Tensor:
+    """Blur beliefs by a Gaussian on cells, along x and then along y; what leaves the grid is lost.
+
+    The kernel is the Gaussian of a grid, with the transfer function exp(σ² (cos θ − 1)): its variance is σ²
+    however small σ is, where a sampled Gaussian would stand still (Lindeberg, IEEE PAMI 1990, 12:234).
+
+    Args:
+        beliefs: Shape (B, X, Y).
+        spreads: σ of each device, shape (B,), cells.
+
+    Returns:
+        Shape (B, X, Y).
+    """
+    devices, rows, columns = beliefs.shape
+    reach = math.ceil(KERNEL_REACH * float(spreads.max())) + 2
+    reach = min(reach, max(rows, columns))
+    angles = 2 * torch.pi * torch.arange(reach + 1, dtype=beliefs.dtype, device=beliefs.device)
+    angles = angles / (2 * reach + 1)
+    transfer = torch.exp(spreads[:, None].square() * (angles.cos() - 1))
+    kernels = torch.fft.irfft(transfer, n=2 * reach + 1).clamp(min=0.0).roll(reach, dims=-1)
+    along_x, along_y = kernels[:, None, :, None], kernels[:, None, None, :]
+    moved = torch.nn.functional.conv2d(beliefs[None], along_x, padding=(reach, 0), groups=devices)
+    moved = torch.nn.functional.conv2d(moved, along_y, padding=(0, reach), groups=devices)
+    return moved[0]
