@@ -16,7 +16,7 @@ from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.localizer import Localizer, Track, localize
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
-from fploc.methods.one_shot import Memoryless
+from fploc.methods.one_shot import Memoryless, OneShotMethod
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
 from fploc.models.deepvit import DeepViT
 from fploc.models.fpdnn import FPDNN, DistanceHead
@@ -34,7 +34,8 @@ SITE = Site(
     device_height_m=1.0,
 )
 NONE = RangeOffsets("none", 0.0)
-SOLVERS = [name for name in GEOMETRIC_METHODS if isinstance(geometric_method(name), Memoryless)]
+MEMORYLESS = [name for name in GEOMETRIC_METHODS if isinstance(geometric_method(name), Memoryless)]
+SOLVERS = [name for name in MEMORYLESS if isinstance(geometric_method(name), OneShotMethod)]
 
 
 def recording(steps: int, *, offset_m: float = 0.0, seed: int = 0, device: int = 1) -> Recording:
@@ -105,7 +106,7 @@ def test_noise_free_recordings_come_back_as_their_path(name: str) -> None:
         np.testing.assert_allclose(track.unfiltered.positions_m[fixed], lap.repaired_m[fixed], atol=1e-6)
 
 
-@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("name", MEMORYLESS)
 def test_all_at_once_equals_one_after_the_other(name: str) -> None:
     laps = [recording(40, offset_m=0.7, seed=1), recording(23, offset_m=1.3, seed=2)]
     together = localize(geometric_method(name), SITE, laps, NONE, KalmanSettings())

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 
 from fploc.errors import UnknownNameError
 from fploc.methods.bayes_grid import BayesGrid
+from fploc.methods.cbt_wccg import CbtWccg
 from fploc.methods.interface import Method
 from fploc.methods.lls import lls
 from fploc.methods.nls import nls
@@ -25,6 +26,7 @@ GEOMETRIC_METHODS: Mapping[str, Callable[[], Method]] = {
     "trilateration": trilateration,
     "rtt-rss": RttRss,
     "bayes-grid": BayesGrid,
+    "cbt-wccg": CbtWccg,
 }
 
 

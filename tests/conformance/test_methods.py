@@ -11,6 +11,7 @@ import torch
 from fploc.errors import UnknownNameError
 from fploc.intervals import Estimate, Intervals, NoFix
 from fploc.methods.bayes_grid import BayesGrid, BayesGridSettings
+from fploc.methods.cbt_wccg import CbtWccg, CbtWccgSettings
 from fploc.methods.interface import Filtering, Method
 from fploc.methods.one_shot import Memoryless
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
@@ -45,6 +46,11 @@ def exact_grid() -> BayesGrid:
     return BayesGrid(exact)
 
 
+def single_circles() -> CbtWccg:
+    """Return the method without the circles beside the ranges, which cross unevenly around the position."""
+    return CbtWccg(replace(CbtWccgSettings.read(), shifts_m=(0.0,), kernel_m=0.01))
+
+
 @dataclass(frozen=True)
 class Promise:
     """What a method promises where solvers of one interval promise 1e-6 m from three ranges.
@@ -69,6 +75,7 @@ PROMISES: Mapping[str, Promise] = {
         without_noise=exact_grid,
         fixes_on_a_line=True,
     ),
+    "cbt-wccg": Promise(without_noise=single_circles),
 }
 
 
@@ -191,6 +198,17 @@ def test_two_places_are_one_too_few(name: str) -> None:
         geometric_method(name), intervals_of(ranges, torch.ones_like(ranges).bool()), site_of(places)
     )
     assert found.fixed.all() if promise_of(name).fixes_on_a_line else not found.fixed.any()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_site_of_too_few_access_points_has_no_fix_but_no_failure(count: int, name: str) -> None:
+    places = PLACES[:count]
+    ranges = true_ranges(some_truth(), places)
+    heard = torch.ones_like(ranges).bool()
+    heard[3] = False
+    found = located(geometric_method(name), intervals_of(ranges, heard), site_of(places))
+    enough = heard.sum(-1) >= promise_of(name).fewest_ranges
+    assert torch.equal(found.fixed, enough)
 
 
 @pytest.mark.parametrize("column", range(len(PLACES)))
