@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from fploc.datasets.recordings import Recording
 from fploc.errors import BadFileError, FplocError, MissingFileError
+from fploc.files import whole
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.walls import line_of_sight
 from fploc.sites.site import Site
@@ -67,9 +68,8 @@ class RangeOffsets:
 
     def save(self, path: Path) -> None:
         """Write the offsets as JSON, in one move."""
-        part = path.with_name(path.name + ".part")
-        part.write_text(json.dumps({"unit": "m", **asdict(self)}, indent=1) + "\n", encoding="utf-8")
-        part.replace(path)
+        with whole(path) as part:
+            part.write_text(json.dumps({"unit": "m", **asdict(self)}, indent=1) + "\n", encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path) -> RangeOffsets:

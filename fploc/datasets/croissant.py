@@ -13,6 +13,7 @@ from typing import Any
 
 from fploc.datasets.source_files import REPOSITORY
 from fploc.errors import BadFileError, MissingFileError
+from fploc.files import whole
 from fploc.schema import SCHEMA_VERSION, TABLES, Column, Table
 
 FILE_NAME = "croissant.json"
@@ -67,9 +68,8 @@ def write_croissant(folder: Path) -> Path:
         BadFileError: If ``site.json`` is no JSON object.
     """
     target = folder / FILE_NAME
-    temporary = target.with_name(f"{FILE_NAME}.part")
-    temporary.write_text(json.dumps(_metadata(folder), indent=2, ensure_ascii=False) + "\n", "utf-8")
-    temporary.replace(target)
+    with whole(target) as part:
+        part.write_text(json.dumps(_metadata(folder), indent=2, ensure_ascii=False) + "\n", "utf-8")
     return target
 
 

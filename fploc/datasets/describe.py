@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fploc.datasets.packed import PackedSite, read_packed
 from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError
+from fploc.files import whole
 from fploc.plots.site_overlay import plot_site_overlay
 from fploc.progress import track
 
@@ -182,11 +183,10 @@ def _reasons(counts: dict[str, int]) -> str:
 def _write_overlay(packed: PackedSite, out: Path) -> Path:
     figure = plot_site_overlay(packed.plan, packed.site, _paths(packed.recordings()))
     target = out / f"{packed.site.name}.png"
-    temporary = target.with_name(f"{target.name}.part")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        figure.savefig(temporary, format="png", dpi=_DOTS_PER_INCH)
-        temporary.replace(target)
+        with whole(target) as part:
+            figure.savefig(part, format="png", dpi=_DOTS_PER_INCH)
     except OSError as error:
         raise FplocError(
             str(target),

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fploc.errors import BadFileError, MissingFileError
+from fploc.files import whole
 
 
 @dataclass(frozen=True)
@@ -71,9 +72,8 @@ class Record:
 
 def write_records(records: Iterable[Record], path: Path) -> None:
     """Write records as JSON lines, in one move."""
-    part = path.with_name(path.name + ".part")
-    part.write_text("".join(json.dumps(one.as_json()) + "\n" for one in records), encoding="utf-8")
-    part.replace(path)
+    with whole(path) as part:
+        part.write_text("".join(json.dumps(one.as_json()) + "\n" for one in records), encoding="utf-8")
 
 
 def read_records(path: Path) -> list[Record]:

@@ -94,9 +94,11 @@ class RunLog:
             return run_id
 
     def training_logger(self, name: str, tags: Mapping[str, str]) -> Logger:
-        """Return a Lightning logger whose run holds the curves of one training."""
+        """Return a Lightning logger whose run holds the curves of one training; an earlier try is deleted."""
         from lightning.pytorch.loggers import MLFlowLogger
 
+        with self._usable():
+            self._delete_earlier(name, tags)
         return MLFlowLogger(experiment_name=self._name, run_name=name, tracking_uri=self.uri, tags=dict(tags))
 
     @contextmanager

@@ -45,6 +45,7 @@ from fploc.experiments.training import (
     virtual_site,
 )
 from fploc.experiments.world import World, prepare_world
+from fploc.files import whole
 from fploc.localizer import Track
 from fploc.models.generator import Generator
 from fploc.plots.results import plot_cdf, plot_tracks
@@ -88,7 +89,12 @@ class Reproduction:
         """Return every stage in order."""
         trainings = [stage for seed in self.preset.seeds for stage in self._training_stages(seed)]
         scorings = [self._scoring_stage(scoring) for scoring in self._scorings()]
-        return [*trainings, *scorings, self._report_stage(scorings)]
+        return [self._calibration_stage(), *trainings, *scorings, self._report_stage(scorings)]
+
+    def _calibration_stage(self) -> Stage:
+        source = self.world.source
+        file = self.folder / "calibration" / f"{source}.json"
+        return self._stage(f"calibrate--{source}", [source], [file], partial(self._calibrate, file))
 
     def _training_stages(self, seed: int) -> Iterator[Stage]:
         source = self.world.source
@@ -155,6 +161,11 @@ class Reproduction:
 
     def _data_hash(self, target: str) -> str:
         return data_hash(self.packed[self.world.source], self.packed[target])
+
+    def _calibrate(self, file: Path) -> None:
+        assert self.measured.offsets is not None, "setup() has fitted them"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        self.measured.offsets.save(file)
 
     def _train_generator(self, seed: int) -> None:
         source = self.world.source
@@ -243,9 +254,8 @@ class Reproduction:
             TrackedRecord(record, run_id, self._data_hash(scoring.site), self.world.made_up)
             for record in records
         ]
-        part = file.with_suffix(".part")
-        part.write_text("".join(json.dumps(one.as_json()) + "\n" for one in tracked))
-        part.replace(file)
+        with whole(file) as part:
+            part.write_text("".join(json.dumps(one.as_json()) + "\n" for one in tracked))
 
     def _record_run(self, scoring: Scoring, records: Sequence[Record], tracks: Sequence[Track]) -> str:
         kind = (
@@ -315,8 +325,10 @@ class Reproduction:
                     made_up=self.world.made_up,
                 )
                 figure.savefig(figures / f"cdf--{protocol}--{site}--{device}.png", dpi=120)
-        (self.folder / "records.jsonl").write_text("".join(file.read_text() for file in files))
-        (self.folder / "results.md").write_text(page(tracked, preset=self.preset.name))
+        with whole(self.folder / "records.jsonl") as part:
+            part.write_text("".join(file.read_text() for file in files))
+        with whole(self.folder / "results.md") as part:
+            part.write_text(page(tracked, preset=self.preset.name))
 
     def _records_file(self, scoring: Scoring) -> Path:
         return self.folder / "scores" / f"{scoring.name}.jsonl"

@@ -179,4 +179,5 @@ def answer(
     if calibration is None and name not in LEARNED_METHODS:
         request = replace(request, calibration=default_calibration(name))
     ready = ready_method(name, request, calibration, data_root, runs)
+    request = replace(request, calibration=ready.offsets.estimator)
     return evaluate(ready.method, request, data_root, offsets=ready.offsets, artifact=ready.artifact)

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from fploc.files import whole
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -67,9 +69,8 @@ class StageBook:
     def _write(self, stage: Stage, seconds: float) -> None:
         file = self._file(stage)
         file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps({"key": stage.key, "seconds": round(seconds, 2)}) + "\n")
-        part.replace(file)
+        with whole(file) as part:
+            part.write_text(json.dumps({"key": stage.key, "seconds": round(seconds, 2)}) + "\n")
 
     def _file(self, stage: Stage) -> Path:
         return self.folder / f"{stage.name}.json"
