@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from timm.layers.drop import DropPath
 from timm.layers.mlp import Mlp
@@ -64,6 +66,27 @@ class EncoderBlock(nn.Module):
         tokens = tokens + self.drop_path(self.attention(self.norm1(tokens), valid))
         encoded: Tensor = tokens + self.drop_path(self.mlp(self.norm2(tokens)))
         return encoded
+
+    def maps(self, tokens: Tensor, valid: Tensor) -> Tensor:
+        """Return the normalised maps (B, H, N, N) that the tokens (B, N, D) are attended with."""
+        queries, keys, _ = self.attention.split(self.norm1(tokens))
+        return self.attention.maps(queries, keys, valid)
+
+
+@dataclass(frozen=True)
+class CropAttention:
+    """Normalised maps Norm(Θᵀ softmax(QKᵀ/√d)) of the last encoder block, mean over heads, on the patches.
+
+    The norm may make them negative, and they need not sum to 1. Padding is 0.
+
+    Args:
+        class_token: What the class token attends to, shape (B, rows, columns).
+        patches: What the valid patches attend to on average, shape (B, rows, columns). The features are made
+            from the patches' tokens: of the last block's maps, only these rows reach the output.
+    """
+
+    class_token: Tensor
+    patches: Tensor
 
 
 class DeepViT(nn.Module):
@@ -154,6 +177,20 @@ class DeepViT(nn.Module):
             tokens = block(tokens, valid)
         features: Tensor = self.head(self.mean_over_patches(tokens, valid))
         return features
+
+    def attention(self, images: Tensor, lengths_px: Tensor) -> CropAttention:
+        """Return where the last encoder block looks; arguments as ``forward``."""
+        tokens, valid = self.tokens(images, lengths_px)
+        *earlier, last = self.blocks
+        for block in earlier:
+            tokens = block(tokens, valid)
+        assert isinstance(last, EncoderBlock)
+        maps = last.maps(tokens, valid).mean(dim=1)
+        on_grid = maps[:, :, 1:].unflatten(2, (self.rows, -1))
+        return CropAttention(
+            class_token=on_grid[:, 0],
+            patches=self.mean_over_patches(on_grid.flatten(2), valid).unflatten(1, on_grid.shape[2:]),
+        )
 
     def tokens(self, images: Tensor, lengths_px: Tensor) -> tuple[Tensor, Tensor]:
         """Return class token and patches with their positions (B, N, D), and which are valid (B, N)."""

@@ -142,3 +142,32 @@ def test_images_longer_than_the_position_embedding_are_refused() -> None:
     images, lengths_px = crops([45], 45)
     with pytest.raises(RuntimeError):
         network()(images, lengths_px)
+
+
+@pytest.mark.parametrize("norm", ["batch", "none"])
+@torch.no_grad()
+def test_attention_is_what_the_last_block_attends_with(norm: str) -> None:
+    vision = network(norm)
+    images, lengths_px = crops([3, 17, 20], 20)
+    seen: list[Tensor] = []
+    hook = vision.blocks[-1].attention.attn_drop.register_forward_hook(lambda *call: seen.append(call[2]))
+    vision(images, lengths_px)
+    hook.remove()
+    maps = seen[0].mean(dim=1)
+    attention = vision.attention(images, lengths_px)
+    assert attention.class_token.shape == attention.patches.shape == (3, 2, 4)
+    torch.testing.assert_close(attention.class_token, maps[:, 0, 1:].reshape(3, 2, 4))
+    # The crop of 17 pixels fills its 4 patch columns; the one of 3 has one, rows 0 and 4 of its patches.
+    torch.testing.assert_close(attention.patches[1], maps[1, 1:, 1:].mean(dim=0).reshape(2, 4))
+    torch.testing.assert_close(attention.patches[0], maps[0, [1, 5], 1:].mean(dim=0).reshape(2, 4))
+    assert (attention.patches[0, :, 1:] == 0).all() and (attention.class_token[0, :, 1:] == 0).all()
+
+
+@torch.no_grad()
+def test_attention_of_a_crop_does_not_depend_on_its_padding() -> None:
+    vision = network()
+    images, lengths_px = crops([3, 10], 10)
+    short = vision.attention(images, lengths_px)
+    padded = vision.attention(torch.nn.functional.pad(images, (0, 20)), lengths_px)
+    torch.testing.assert_close(padded.patches[..., :2], short.patches)
+    torch.testing.assert_close(padded.class_token[..., :2], short.class_token)

@@ -91,14 +91,18 @@ class ReAttention(nn.Module):
 
     def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
         """Return the attended tokens; see the class for shapes."""
-        B, N, _ = tokens.shape
-        queries, keys, values = (
-            self.qkv(tokens).reshape(B, N, 3, self.num_heads, self.head_dim).permute(2, 0, 3, 1, 4)
-        )
+        queries, keys, values = self.split(tokens)
         maps = self.maps(queries, keys, valid)
         attended = (self.attn_drop(maps) @ values).transpose(1, 2)
         projected: Tensor = self.proj_drop(self.proj(attended.flatten(2)))
         return projected
+
+    def split(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return queries, keys and values of tokens (B, N, D), shape (B, H, N, d) each."""
+        B, N, _ = tokens.shape
+        split = self.qkv(tokens).reshape(B, N, 3, self.num_heads, self.head_dim).permute(2, 0, 3, 1, 4)
+        queries, keys, values = split
+        return queries, keys, values
 
     def maps(self, queries: Tensor, keys: Tensor, valid: Tensor) -> Tensor:
         """Return Norm(Θᵀ softmax(QKᵀ/√d)), shape (B, H, N, N)."""
