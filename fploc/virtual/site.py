@@ -13,7 +13,7 @@ from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.raster import CropSettings, PlanRaster
 from fploc.floorplan.walls import free_space, line_of_sight
 from fploc.intervals import DeviceLinks, Intervals
-from fploc.models.generator import Generator
+from fploc.models.generator import Generator, MeasurementDistribution
 from fploc.sites.site import Site
 from fploc.virtual.dropout import Dropout
 
@@ -98,10 +98,17 @@ class VirtualSite:
 
     def measure(self, starts: Tensor, ends: Tensor, random: torch.Generator) -> tuple[Tensor, Tensor]:
         """Return calibrated plan ranges (L,) in metres and RSS (L,) in dBm of links (L, 2) to (L, 2)."""
-        crops = self.crops.crop_softened(self.softened, starts, ends)
         distances = (ends - starts).norm(dim=-1)
-        errors, rss = self.generator(crops.images, crops.lengths_px, distances).sample(random)
+        errors, rss = self.distribution(starts, ends).sample(random)
         return (distances + errors).clamp(min=0.0), rss
+
+    def distribution(self, starts: Tensor, ends: Tensor) -> MeasurementDistribution:
+        """Return what links (L, 2) to (L, 2), metres, would measure."""
+        crops = self.crops.crop_softened(self.softened, starts, ends)
+        made: MeasurementDistribution = self.generator(
+            crops.images, crops.lengths_px, (ends - starts).norm(dim=-1)
+        )
+        return made
 
     def device_links(self, positions: Tensor, random: torch.Generator) -> DeviceLinks:
         """Return the links of pairs that see each other, both ways, the same range and RSS each way."""
