@@ -5,11 +5,14 @@ Axes: B devices (every recording of every device is one entry of the batch), A a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import torch
 from torch import Tensor
+
+FARTHEST_RANGE_M = 60.0
+"""Ranges beyond it are faults of the phones (docs/data.md): networks neither learn from them nor use them."""
 
 
 class NoFix(IntEnum):
@@ -62,6 +65,17 @@ class Intervals:
     heard: Tensor
     present: Tensor
     links: DeviceLinks | None = None
+
+    def nearer_than(self, limit_m: float) -> Intervals:
+        """Return the same without ranges beyond ``limit_m``, as if these had not been heard."""
+        heard = self.heard & (self.ranges <= limit_m)
+        return replace(
+            self,
+            ranges=torch.where(heard, self.ranges, 0.0),
+            stds=torch.where(heard, self.stds, 0.0),
+            rss=torch.where(heard, self.rss, 0.0),
+            heard=heard,
+        )
 
     def to(self, device: torch.device | str) -> Intervals:
         """Return the intervals on ``device``."""

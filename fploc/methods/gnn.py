@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fploc.graphs.first_estimates import first_estimates
 from fploc.graphs.radio_graph import neighbours, radio_graph
-from fploc.intervals import Estimate, Intervals, NoFix, estimate
+from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals, NoFix, estimate
 from fploc.models.gnn import GNN
 from fploc.sites.site import Site
 
@@ -46,7 +46,8 @@ class GNNMethod:
 
     @torch.no_grad()
     def step(self, state: Tensor, intervals: Intervals) -> tuple[Tensor, Estimate]:
-        """Locate every device from one interval."""
+        """Locate every device from one interval; ranges beyond 60 m count as not heard."""
+        intervals = intervals.nearer_than(FARTHEST_RANGE_M)
         access_points = state.to(intervals.ranges.device)
         first = first_estimates(intervals, access_points)
         positions = self.network(radio_graph(intervals, access_points, first)).double()

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.floorplan.raster import CropSettings, PlanRaster
-from fploc.intervals import Estimate, Intervals, links_of
+from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals, links_of
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.one_shot import RangeSolver
 from fploc.models.fpdnn import FPDNN
@@ -72,7 +72,11 @@ class GNNFPDNN:
 
     @torch.no_grad()
     def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
-        """Locate every device from one interval and its smoothed coarse position, each row alone."""
+        """Locate every device from one interval and its smoothed coarse position, each row alone.
+
+        Ranges beyond 60 m count as not heard.
+        """
+        intervals = intervals.nearer_than(FARTHEST_RANGE_M)
         corrected = self.corrected_ranges(intervals, access_points, coarse)
         sigmas = torch.full_like(corrected, self.sigma_m)
         return self.solver(corrected, access_points.double(), sigmas, intervals.heard)

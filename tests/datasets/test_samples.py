@@ -9,10 +9,10 @@ from torch import Tensor
 
 from fploc.datasets.loaders import ordered_batches, random_batches
 from fploc.datasets.recordings import Recording
-from fploc.datasets.samples import FARTHEST_RANGE_M, LabelledIntervals, MeasuredIntervals
+from fploc.datasets.samples import LabelledIntervals, MeasuredIntervals
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
-from fploc.intervals import DeviceLinks
+from fploc.intervals import FARTHEST_RANGE_M, DeviceLinks
 from fploc.sites.site import AccessPoint, Site
 
 SITE = Site(

@@ -283,3 +283,20 @@ def test_a_device_link_counts_as_a_neighbour(links: int, reason: NoFix) -> None:
         ),
     )
     assert reasons_for_neighbours(some).tolist() == [reason] + [NoFix.NO_READING] * 3
+
+
+def test_a_range_beyond_60_m_counts_as_not_heard() -> None:
+    random = torch.Generator().manual_seed(3)
+    near = torch.rand(1, 5, generator=random) * 20 + 1
+    heard = torch.ones(1, 5, dtype=torch.bool)
+    whole = Intervals(
+        t_s=torch.zeros(1),
+        ranges=torch.cat([near, torch.tensor([[75.0]])], dim=1),
+        stds=torch.zeros(1, 6),
+        rss=torch.full((1, 6), -60.0),
+        heard=torch.ones(1, 6, dtype=torch.bool),
+        present=torch.tensor([True]),
+    )
+    kept = whole.nearer_than(60.0)
+    assert torch.equal(kept.heard[:, :5], heard) and not kept.heard[0, 5]
+    assert torch.equal(kept.ranges[:, :5], near) and kept.ranges[0, 5] == 0 and kept.rss[0, 5] == 0
