@@ -27,7 +27,7 @@ DATA_COMMANDS = {
     "build": "Pack sites. Example: fploc data build --from DIR --sites office,laboratory",
     "describe": "Count what packed sites hold, draw them. Example: fploc data describe --out overlays",
 }
-COMMANDS = {"data", *DATA_COMMANDS, "made-up", "fit", "evaluate", "reproduce"}
+COMMANDS = {"data", *DATA_COMMANDS, "made-up", "fit", "synthesize", "evaluate", "reproduce"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,6 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error), BAD_INPUT)
     except ArgumentError as error:
         return _fail(_usage_message(str(error), words), BAD_INPUT)
+    except BrokenPipeError:
+        # Whoever read the output has had enough; Python must not try to flush the rest.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         place = f"{error.filename}: " if error.filename else ""
         reason = error.strerror or str(error)
@@ -71,6 +75,9 @@ def make_parser() -> ArgumentParser:
     commands.add_subcommand("made-up", _made_up_parser(), help="Write a made-up building and its recordings.")
     commands.add_subcommand(
         "fit", ArgumentParser(exit_on_error=False), help="Train one network (LightningCLI)."
+    )
+    commands.add_subcommand(
+        "synthesize", _synthesize_parser(), help="Draw what the trained generator says of a packed site."
     )
     commands.add_subcommand("evaluate", _evaluate_parser(), help="Score a method on a packed site.")
     commands.add_subcommand(
@@ -123,6 +130,28 @@ def _made_up_parser() -> ArgumentParser:
     return parser
 
 
+def _synthesize_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Maps of synthetic RTT and RSS, and their match with measurements. "
+        "Example: fploc synthesize --site office",
+        exit_on_error=False,
+    )
+    parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
+    parser.add_argument("--site", type=str, required=True, help="Packed site to synthesize.")
+    parser.add_argument("--source", type=str, default="office", help="Site that the generator learned on.")
+    parser.add_argument("--seed", type=int, default=0, help="Seed of the generator and of its samples.")
+    parser.add_argument("--preset", type=str, default="default", help="Preset that trained the generator.")
+    _add_data_root(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of trained artifacts.")
+    parser.add_argument(
+        "--out", type=Path | None, default=None, help="Folder to write. Default: synthetic/SITE below --runs."
+    )
+    parser.add_argument(
+        "--json", type=str, choices=["", "-"], default="", help="- prints match.json instead of a table."
+    )
+    return parser
+
+
 def _evaluate_parser() -> ArgumentParser:
     parser = ArgumentParser(
         description="Score a method. Example: fploc evaluate --method nls --protocol zero-shot "
@@ -163,6 +192,7 @@ def _runner(options: Namespace) -> int:
     runners: Mapping[str, Callable[[Namespace], None]] = {
         "data": _run_data,
         "made-up": _run_made_up,
+        "synthesize": _run_synthesize,
         "evaluate": _run_evaluate,
         "reproduce": _run_reproduce,
     }
@@ -192,11 +222,16 @@ def _run_verify(options: Namespace) -> None:
     from dataclasses import asdict
 
     from fploc.datasets.download import resolve_source
+    from fploc.datasets.source_files import split_by_presence
     from fploc.datasets.verify import verify
 
-    sites = _named_sites(options.sites)
-    report = verify(resolve_source(options.data_root, options.source, sites), sites)
-    _print(asdict(report), as_json=options.json)
+    named = _named_sites(options.sites)
+    source = resolve_source(options.data_root, options.source, named)
+    present, absent = split_by_presence(source, named)
+    # A site that is asked for by name must be there; of all sites, those that are not are only listed.
+    report = verify(source, named if options.sites else present)
+    skipped = () if options.sites else tuple(absent)
+    _print(asdict(report) | {"sites not there": skipped}, as_json=options.json)
     report.require_intact()
 
 
@@ -247,6 +282,31 @@ def _run_made_up(options: Namespace) -> None:
 
     site = made_up_site(options.seed, options.out)
     print(f"{site}: pack it with `fploc data build --sites {site}`")  # noqa: T201
+
+
+def _run_synthesize(options: Namespace) -> None:
+    from fploc.experiments.synthesize import printed_rows, synthesize
+
+    done = synthesize(
+        options.site,
+        source=options.source,
+        preset_name=options.preset,
+        seed=options.seed,
+        data_root=options.data_root,
+        runs=options.runs,
+        out=options.runs / "synthetic" / options.site if options.out is None else options.out,
+    )
+    if options.json:
+        print(json.dumps(done.match, indent=2))  # noqa: T201
+    else:
+        made_up = ", MADE-UP BUILDING, no real data" if done.match["made_up"] else ""
+        print(f"{options.site}{made_up}: {done.match['kind']}")  # noqa: T201
+        if done.match["rows"]:
+            _print_rows(printed_rows(done.match), as_json=False)
+        else:
+            print("no recording with positions to compare with: maps only")  # noqa: T201
+    for path in done.files:
+        print(f"written: {path}", file=sys.stderr)  # noqa: T201
 
 
 def _run_evaluate(options: Namespace) -> None:

@@ -34,7 +34,8 @@ def test_zero_shot_rows_come_first() -> None:
 def test_the_filter_chooses_the_row() -> None:
     values = {
         filtered: [
-            row.value for row in published("zero-shot", "gnn", "shopping-mall", 2, filtered=filtered, metric="rmse_m")
+            row.value
+            for row in published("zero-shot", "gnn", "shopping-mall", 2, filtered=filtered, metric="rmse_m")
         ]
         for filtered in (False, True)
     }
