@@ -38,8 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if words[:1] == ["fit"]:
             return _fit(words[1:])
-        options = make_parser().parse_args(words)
-        return _runner(options)
+        code = _runner(make_parser().parse_args(words))
+        sys.stdout.flush()
+        return code
     except FplocError as error:
         return _fail(str(error), BAD_INPUT)
     except ArgumentError as error:

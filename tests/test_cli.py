@@ -25,6 +25,7 @@ COMMANDS = [
     ["evaluate"],
     ["reproduce"],
     ["fit"],
+    ["synthesize"],
 ]
 HEAVY = ("torch", "lightning", "mlflow", "timm", "torch_geometric", "pandas")
 
@@ -183,3 +184,26 @@ def test_an_interruption_ends_in_one_line(
     assert (
         capsys.readouterr().err == "fploc: interrupted; the next call goes on from the last finished step\n"
     )
+
+
+def test_verify_of_all_sites_lists_those_that_a_copy_does_not_have(
+    source: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FPLOC_SOURCE", str(source))
+    assert main(["data", "verify", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["missing"] == [] and printed["checked"] > 100
+    absent = printed["sites not there"]
+    assert "office" not in absent
+    for name in absent:
+        assert main(["data", "verify", "--sites", name]) == 2
+
+
+def test_a_reader_that_stops_reading_is_no_error(data_root: Path, tmp_path: Path) -> None:
+    words = [FPLOC, "data", "describe", "--json", "--data-root", data_root, "--sites", "office"]
+    words += ["--out", tmp_path]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert "Traceback" not in process.stderr.read()
+        assert process.wait() == 0
