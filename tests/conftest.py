@@ -8,6 +8,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -19,11 +20,24 @@ def source() -> Path:
     """Local copy of the public data set, laid out ``<revision>/<path>``."""
     folder = Path(os.environ.get("FPLOC_SOURCE", ROOT.parent / "shared" / "rtt-dataset"))
     if not folder.is_dir():
-        message = f"no copy of the public data at {folder}: set FPLOC_SOURCE to one (README, 'Tests')"
-        if os.environ.get("CI") == "true":
-            pytest.fail(message)
-        pytest.skip(message)
+        _go_without(f"no copy of the public data at {folder}: set FPLOC_SOURCE to one (README, 'Tests')")
     return folder
+
+
+@pytest.fixture(scope="session")
+def reference_plans(source: Path) -> Path:
+    """Folder beside the public data with plans that others have georeferenced, to compare with."""
+    folder = source.parent / "sites"
+    if not (folder / "georeference.json").is_file():
+        _go_without(f"no reference plans at {folder}: they lie beside the copy of the public data")
+    return folder
+
+
+def _go_without(message: str) -> NoReturn:
+    """Skip a test for want of data; where everything must be there, fail it."""
+    if os.environ.get("CI") == "true":
+        pytest.fail(message)
+    pytest.skip(message)
 
 
 @pytest.fixture(scope="session")

@@ -17,15 +17,12 @@ class Method(Protocol):
     @property
     def name(self) -> str:
         """Name on the command line and in result records."""
-        ...
 
     def init(self, site: Site, devices: int) -> Any:
         """Return the state of ``devices`` devices before their first interval."""
-        ...
 
     def step(self, state: Any, intervals: Intervals) -> tuple[Any, Estimate]:
         """Advance every device that is present by one interval."""
-        ...
 
 
 @runtime_checkable
@@ -40,21 +37,17 @@ class Refining(Protocol):
     @property
     def name(self) -> str:
         """Name on the command line and in result records."""
-        ...
 
     @property
     def coarse(self) -> Method:
         """Finds coarse positions, every interval alone."""
-        ...
 
     @property
     def filter(self) -> BatchedFilter:
         """Smooths the coarse positions."""
-        ...
 
     def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
         """Return the estimates of rows (B, …) from their smoothed coarse positions."""
-        ...
 
 
 @runtime_checkable
@@ -63,7 +56,6 @@ class Filtering(Protocol):
 
     def for_speed(self, speed_prior_mps: float) -> Method:
         """Return the method for people who walk at about ``speed_prior_mps``, metres per second."""
-        ...
 
 
 @runtime_checkable
@@ -73,4 +65,3 @@ class Calibrated(Protocol):
     @property
     def default_calibration(self) -> str:
         """What ``--calibration`` takes."""
-        ...

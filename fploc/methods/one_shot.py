@@ -31,7 +31,6 @@ class RangeSolver(Protocol):
 
     def __call__(self, ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard: Tensor, /) -> Estimate:
         """Solve for positions; shapes as in ``fploc.solvers.nonlinear.solve_nonlinear``."""
-        ...
 
 
 @dataclass

@@ -15,15 +15,12 @@ class Loss(Protocol):
 
     def value(self, scaled: Tensor) -> Tensor:
         """Return ρ(s), shape of ``scaled``."""
-        ...
 
     def weight(self, scaled: Tensor) -> Tensor:
         """Return ρ′(s)/s, shape of ``scaled``: the weight of the residual in the next linear system."""
-        ...
 
     def curvature(self, scaled: Tensor) -> Tensor:
         """Return ρ″(s), shape of ``scaled``: what Newton's steps take in place of the weight."""
-        ...
 
 
 @dataclass(frozen=True)

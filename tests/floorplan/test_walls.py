@@ -45,10 +45,10 @@ def f1(found: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
 
 
 @pytest.fixture(scope="module", params=SITES)
-def rendered(request: pytest.FixtureRequest, source: Path) -> tuple[str, FloorPlan, Path]:
-    folder = source.parent / "sites"
-    if not (folder / "georeference.json").is_file():
-        pytest.skip(f"no reference plans at {folder}")
+def rendered(
+    request: pytest.FixtureRequest, source: Path, reference_plans: Path
+) -> tuple[str, FloorPlan, Path]:
+    folder = reference_plans
     entry = json.loads((folder / "georeference.json").read_text())[request.param]
     image = source / entry["source_revision"].split()[1] / entry["source_file"]
     plan = render_plan(
