@@ -53,6 +53,7 @@ from fploc.progress import print_table
 from fploc.virtual.dropout import Dropout
 
 EXPERIMENT = "fploc"
+TRAINING = "train--"
 FIGURE_LABELS = "repaired"
 
 
@@ -99,20 +100,20 @@ class Reproduction:
     def _training_stages(self, seed: int) -> Iterator[Stage]:
         source = self.world.source
         yield self._stage(
-            f"train--generator--seed-{seed}",
+            f"{TRAINING}generator--seed-{seed}",
             [source],
             [self._key("generator", "seen", source, seed).folder(self.artifacts)],
             partial(self._train_generator, seed),
         )
         yield self._stage(
-            f"train--{source}--seed-{seed}",
+            f"{TRAINING}{source}--seed-{seed}",
             [source],
             [self._key("gnn-fpdnn", "seen", source, seed).folder(self.artifacts)],
             partial(self._train, source, "seen", seed),
         )
         for target in self.world.targets:
             yield self._stage(
-                f"train--{target}--seed-{seed}",
+                f"{TRAINING}{target}--seed-{seed}",
                 [source, target],
                 [self._key("gnn-fpdnn", "zero-shot", target, seed).folder(self.artifacts)],
                 partial(self._train, target, "zero-shot", seed),
@@ -367,8 +368,10 @@ def reproduce(
     preset = read_preset(preset_name)
     world = prepare_world(data_root, source, preset.targets if targets is None else targets)
     reproduction = Reproduction(preset, world, data_root, runs)
-    announce_duration(preset, reproduction.measured, len(world.targets))
-    StageBook(reproduction.folder / "stages").run(reproduction.stages())
+    book, stages = StageBook(reproduction.folder / "stages"), reproduction.stages()
+    if not all(book.is_done(stage) for stage in stages if stage.name.startswith(TRAINING)):
+        announce_duration(preset, reproduction.measured, len(world.targets))
+    book.run(stages)
     tracked = read_tracked_records(reproduction.folder / "records.jsonl")
     title = "MADE-UP BUILDINGS, no real data" if world.made_up else "public data"
     print(f"\nPreset {preset.name}, {title}, {FIGURE_LABELS} labels, metres:")  # noqa: T201

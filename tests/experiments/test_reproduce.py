@@ -131,7 +131,9 @@ def test_every_stage_is_announced_once_and_timed(calls: Calls) -> None:
     trainings = [f"train--{name}--seed-0" for name in ("generator", "made-up-1", "made-up-2")]
     every = calls.resumed.stages(r"(?:done before|[\d.]+ s)")
     assert every == ["calibrate--made-up-1", *trainings, *scorings, "report"]
-    assert len(re.findall(r"^preset smoke: trainings take about .*", calls.resumed.err, re.MULTILINE)) == 1
+    announced = re.compile(r"^preset smoke: trainings take about .*", re.MULTILINE)
+    assert len(announced.findall(calls.interrupted.err)) == 1
+    assert announced.findall(calls.resumed.err) == [], "nothing was left to train"
 
 
 def test_an_interruption_ends_in_one_line_and_leaves_nothing_half_written(calls: Calls) -> None:
