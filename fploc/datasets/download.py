@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import threading
+import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
@@ -26,6 +27,7 @@ from fploc.datasets.source_files import (
     site_files,
 )
 from fploc.errors import DownloadError, HashMismatchError
+from fploc.files import advice
 from fploc.progress import track
 
 BASE_URL = "https://raw.githubusercontent.com/haiyaoyu/RTT-Indoor-localization-data-set"
@@ -34,11 +36,13 @@ SOURCE_VARIABLE = "FPLOC_SOURCE"
 _WORKERS = 8
 _CHUNK_BYTES = 64 * 1024
 _GONE = {HTTPStatus.NOT_FOUND, HTTPStatus.GONE}
+# Answers that keep a machine out as a whole, whichever file it asks for.
+_REFUSALS = {HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.PROXY_AUTHENTICATION_REQUIRED}
 _RESUME = "what has arrived is kept: call again to go on, or name a local copy with --from DIR"
 
 
 class UnreachableError(DownloadError):
-    """The server does not answer, or refuses to."""
+    """The server cannot be reached at all: it has not answered once, or refuses whatever it is asked."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ def resolve_source(data_root: Path, given: Path | None, sites: Sequence[str]) ->
 
     Raises:
         FplocError: If the named folder is unusable.
-        UnreachableError: If files are to be downloaded and GitHub cannot be reached.
+        UnreachableError: If files are to be downloaded and GitHub cannot be reached at all.
         DownloadError: If a file cannot be fetched for another reason.
     """
     if given is not None:
@@ -101,8 +105,9 @@ def fetch(
     """Bring ``files`` into ``cache``, laid out ``<revision>/<path>``; present and intact ones are kept.
 
     Raises:
-        UnreachableError: If the server does not answer, or not with the file after all attempts.
-        DownloadError: If the server has no such file, or the file cannot be written.
+        UnreachableError: If the server does not answer, or refuses, before anything was fetched.
+        DownloadError: If the server answers, but not with a file after all attempts, or if the file
+            cannot be written. What has arrived is kept, and the next call goes on from there.
         HashMismatchError: If the server sends other contents than the pinned ones.
     """
     wanted = [file for file in files if not _is_intact(file, cache)]
@@ -148,30 +153,48 @@ def _is_intact(file: SourceFile, cache: Path) -> bool:
 
 
 def _require_reachable(client: httpx.Client, url: str, patience: Patience) -> None:
-    """Ask once for the head of ``url``, so that a machine without network learns it in seconds."""
-    outcome: list[object] = []
+    """Ask for the head of ``url`` first, so that a machine without network learns it in seconds."""
+    status = _first_status(client, url, patience)
+    for attempt in range(1, patience.attempts):
+        if status < HTTPStatus.INTERNAL_SERVER_ERROR:
+            break
+        time.sleep(patience.backoff_s * 2 ** (attempt - 1))
+        status = _first_status(client, url, patience)
+    if status in _REFUSALS or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+        raise _unreachable(url, f"HTTP {status}")
+
+
+def _first_status(client: httpx.Client, url: str, patience: Patience) -> int:
+    outcome: list[int | str] = []
 
     def ask() -> None:
         try:
             outcome.append(client.head(url, timeout=patience.connect_s).status_code)
         except httpx.RequestError as error:
-            outcome.append(error)
+            outcome.append(_text(error))
 
     # A resolver without network may block for half a minute, and httpx's timeouts do not cover it.
     thread = threading.Thread(target=ask, daemon=True)
     thread.start()
     thread.join(2 * patience.connect_s)
-    if not outcome or isinstance(outcome[0], httpx.RequestError):
-        raise _unreachable(url, outcome[0] if outcome else "no answer from the name server")
+    answer = outcome[0] if outcome else "no answer from the name server"
+    if isinstance(answer, str):
+        raise _unreachable(url, answer)
+    return answer
 
 
-def _unreachable(url: str, reason: object) -> UnreachableError:
+def _text(error: Exception) -> str:
+    return str(error) or type(error).__name__
+
+
+def _unreachable(url: str, reason: str) -> UnreachableError:
     return UnreachableError(
-        url,
-        value=str(reason) or type(reason).__name__,
-        expected="an answer from the server",
-        way_out=f"check the network; {_RESUME}",
+        url, value=reason, expected="an answer from the server", way_out=f"check the network; {_RESUME}"
     )
+
+
+def _refused(file: SourceFile, url: str, reason: str) -> DownloadError:
+    return DownloadError(file.name, value=reason, expected=f"the whole file from {url}", way_out=_RESUME)
 
 
 def _fetch_file(
@@ -186,30 +209,30 @@ def _fetch_file(
     part = target.with_name(f"{target.name}.part")
     try:
         part.parent.mkdir(parents=True, exist_ok=True)
-        failure: object = None
+        failure = ""
         for attempt in range(patience.attempts):
             if attempt > 0:
                 stop.wait(patience.backoff_s * 2 ** (attempt - 1))
             try:
-                resumed = _receive(part, url, client, stop)
+                resumed = _receive(file, part, url, client, stop)
                 if _finish(file, part, target, resumed=resumed):
                     return
                 failure = "an incomplete file"
             except (httpx.RequestError, _TryAgainError) as error:
-                failure = error
-        raise _unreachable(url, failure)
+                failure = _text(error)
+        raise _refused(file, url, failure)
     except OSError as error:
         with suppress(OSError):
             part.unlink()
         raise DownloadError(
-            str(part),
+            str(target),
             value=error.strerror or str(error),
             expected="a folder with room to write to",
-            way_out="free some space, or choose another folder with --data-root DIR",
+            way_out=f"{advice(error, target)}, or choose another one with --data-root DIR",
         ) from error
 
 
-def _receive(part: Path, url: str, client: httpx.Client, stop: threading.Event) -> bool:
+def _receive(file: SourceFile, part: Path, url: str, client: httpx.Client, stop: threading.Event) -> bool:
     """Write to ``part`` what is missing of it; return whether an older part was continued."""
     present = part.stat().st_size if part.exists() else 0
     # Ranges count bytes of what is sent: a compressed answer could not be continued.
@@ -220,7 +243,7 @@ def _receive(part: Path, url: str, client: httpx.Client, stop: threading.Event) 
         status = response.status_code
         if present > 0 and status == HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
             return True
-        _require_contents(status, url)
+        _require_contents(status, file, url)
         continued = status == HTTPStatus.PARTIAL_CONTENT
         with part.open("ab" if continued else "wb") as out:
             for chunk in response.iter_raw(_CHUNK_BYTES):
@@ -230,19 +253,19 @@ def _receive(part: Path, url: str, client: httpx.Client, stop: threading.Event) 
     return continued
 
 
-def _require_contents(status: int, url: str) -> None:
+def _require_contents(status: int, file: SourceFile, url: str) -> None:
     if status in (HTTPStatus.OK, HTTPStatus.PARTIAL_CONTENT):
         return
     if status in _GONE:
         raise DownloadError(
-            url,
+            file.name,
             value=f"HTTP {status}",
-            expected="a file of the pinned revision",
+            expected=f"a file of the pinned revision at {url}",
             way_out="if the repository has moved, name a local copy with --from DIR",
         )
     if status == HTTPStatus.TOO_MANY_REQUESTS or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
         raise _TryAgainError(f"HTTP {status}")
-    raise _unreachable(url, f"HTTP {status}")
+    raise _refused(file, url, f"HTTP {status}")
 
 
 def _finish(file: SourceFile, part: Path, target: Path, *, resumed: bool) -> bool:

@@ -12,6 +12,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import unquote
 
+import httpx
 import pytest
 
 from fploc.datasets import download as module
@@ -30,7 +31,9 @@ class Handler(BaseHTTPRequestHandler):
     server: Server
 
     def do_HEAD(self) -> None:
-        self.send_response(200)
+        self.server.shelf.probes += 1
+        statuses = self.server.shelf.probe_statuses
+        self.send_response(statuses.pop(0) if statuses else 200)
         self.end_headers()
 
     def do_GET(self) -> None:
@@ -65,6 +68,8 @@ class Shelf:
     contents: dict[str, bytes] = field(default_factory=dict)
     faults: dict[str, list[Callable[[Handler, bytes], None]]] = field(default_factory=dict)
     requests: list[tuple[str, str | None]] = field(default_factory=list)
+    probe_statuses: list[int] = field(default_factory=list)
+    probes: int = 0
 
     def file(self, path: str, contents: bytes = CONTENTS) -> SourceFile:
         self.contents[path] = contents
@@ -92,6 +97,14 @@ def truncated(handler: Handler, contents: bytes) -> None:
 
 def unavailable(handler: Handler, contents: bytes) -> None:
     handler.send_error(503)
+
+
+def forbidden(handler: Handler, contents: bytes) -> None:
+    handler.send_error(403)
+
+
+def nothing(handler: Handler, contents: bytes) -> None:
+    handler.close_connection = True
 
 
 def wrong_bytes(handler: Handler, contents: bytes) -> None:
@@ -137,13 +150,63 @@ def test_a_busy_server_is_asked_again(shelf: Shelf, tmp_path: Path) -> None:
     assert file.below(tmp_path).read_bytes() == CONTENTS
 
 
-def test_a_server_that_stays_busy_counts_as_unreachable(shelf: Shelf, tmp_path: Path) -> None:
-    file = shelf.file("a.csv")
-    shelf.faults["a.csv"] = [unavailable] * 9
-    with pytest.raises(UnreachableError, match=r"a\.csv: found HTTP 503, expected .*; check the network"):
-        fetch([file], tmp_path, base_url=shelf.url, patience=QUICK)
-    assert len(shelf.requests) == QUICK.attempts
+@pytest.mark.parametrize(
+    ("statuses", "probes"), [([500, 502, 503], 3), ([403], 1), ([407], 1)], ids=lambda value: str(value)
+)
+def test_a_server_that_refuses_from_the_first_word_is_unreachable(
+    statuses: list[int], probes: int, shelf: Shelf, tmp_path: Path
+) -> None:
+    last = statuses[-1]
+    shelf.probe_statuses += statuses
+    with pytest.raises(UnreachableError, match=rf"a\.csv: found HTTP {last}, .*; check the network"):
+        fetch([shelf.file("a.csv")], tmp_path, base_url=shelf.url, patience=QUICK)
+    assert (shelf.probes, shelf.requests) == (probes, [])
     assert files_below(tmp_path) == []
+
+
+def test_a_proxy_that_refuses_is_unreachable(shelf: Shelf, tmp_path: Path) -> None:
+    with httpx.Client(proxy=shelf.url) as client, pytest.raises(UnreachableError, match="check the network"):
+        fetch([shelf.file("a.csv")], tmp_path, base_url="https://fploc.invalid", client=client)
+
+
+def test_a_server_that_is_busy_at_first_is_asked_again(shelf: Shelf, tmp_path: Path) -> None:
+    file = shelf.file("a.csv")
+    shelf.probe_statuses += [503, 503]
+    fetch([file], tmp_path, base_url=shelf.url, patience=QUICK)
+    assert shelf.probes == 3 and file.below(tmp_path).read_bytes() == CONTENTS
+
+
+@pytest.mark.parametrize(
+    ("fault", "told", "asked"),
+    [
+        (unavailable, "HTTP 503", QUICK.attempts),
+        (forbidden, "HTTP 403", 1),
+        (nothing, "Server disconnected", QUICK.attempts),
+    ],
+    ids=["503", "403", "hangs up"],
+)
+def test_a_file_that_fails_after_an_answer_is_named_and_the_server_counts_as_reached(
+    fault: Callable[[Handler, bytes], None], told: str, asked: int, shelf: Shelf, tmp_path: Path
+) -> None:
+    file = shelf.file("a.csv")
+    shelf.faults["a.csv"] = [fault] * 9
+    with pytest.raises(DownloadError, match=rf"2b19c6c/a\.csv: found {told}.*; what has arrived") as caught:
+        fetch([file], tmp_path, base_url=shelf.url, patience=QUICK)
+    assert not isinstance(caught.value, UnreachableError)
+    assert len(shelf.requests) == asked
+    assert files_below(tmp_path) == []
+
+
+def test_what_arrived_of_a_file_that_fails_is_kept(shelf: Shelf, tmp_path: Path) -> None:
+    file = shelf.file("a.csv")
+    shelf.faults["a.csv"] = [truncated, unavailable, unavailable]
+    with pytest.raises(DownloadError, match=r"a\.csv: found HTTP 503") as caught:
+        fetch([file], tmp_path, base_url=shelf.url, patience=QUICK)
+    assert not isinstance(caught.value, UnreachableError)
+    part = file.below(tmp_path).with_name("a.csv.part")
+    assert CONTENTS.startswith(part.read_bytes()) and part.stat().st_size > 0
+    fetch([file], tmp_path, base_url=shelf.url, patience=QUICK)
+    assert file.below(tmp_path).read_bytes() == CONTENTS
 
 
 def test_wrong_bytes_name_both_hashes_and_are_deleted(shelf: Shelf, tmp_path: Path) -> None:
@@ -229,14 +292,14 @@ def test_a_full_disk_ends_in_one_error_and_leaves_nothing(shelf: Shelf, tmp_path
     part = file.below(tmp_path).with_name("a.csv.part")
     part.parent.mkdir(parents=True)
     part.symlink_to("/dev/full")
-    with pytest.raises(DownloadError, match=r"a\.csv\.part: found No space left .*--data-root"):
+    with pytest.raises(DownloadError, match=r"a\.csv: found No space left .*free some space.*--data-root"):
         fetch([file], tmp_path, base_url=shelf.url, patience=QUICK)
     assert files_below(tmp_path) == [] and not part.is_symlink()
 
 
 def test_a_cache_that_is_a_file_ends_in_one_error(shelf: Shelf, tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("a file")
-    with pytest.raises(DownloadError, match=r"Not a directory|File exists"):
+    with pytest.raises(DownloadError, match=r"cache is no folder"):
         fetch([shelf.file("a.csv")], tmp_path / "cache", base_url=shelf.url, patience=QUICK)
 
 
