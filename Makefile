@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PRESET ?= default
-DATA ?= data
+DATA ?= $(or $(FPLOC_DATA),data)
 RUNS ?= runs
 
 # Small batches on few cores: one thread each is faster than threads that wait for each other spinning.
@@ -19,6 +19,7 @@ help: ## List every target
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
 
 install: $(VENV)/installed ## Create the environment in .venv and install everything (3 to 5 minutes)
+	@:
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	@echo "Installing into $(VENV): 3 to 5 minutes, about 7 GB"

@@ -15,8 +15,15 @@ from fploc.conf import conf_folder
 from fploc.errors import MissingFileError
 
 CONFIG = "--config"
+RUNS = Path("runs")
 RAISING = {"exit_on_error": False}
 """Of a parser: what it refuses goes to the caller, who prints it in one line."""
+
+
+class _FitCLI(LightningCLI):
+    def before_instantiate_classes(self) -> None:
+        # The loggers of conf/experiment/ keep their SQLite file here, and SQLite makes no folder.
+        RUNS.mkdir(exist_ok=True)
 
 
 def fit_from_command_line(words: Sequence[str]) -> None:
@@ -29,7 +36,7 @@ def fit_from_command_line(words: Sequence[str]) -> None:
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     with resources.as_file(conf_folder()) as conf:
-        LightningCLI(
+        _FitCLI(
             pl.LightningModule,
             pl.LightningDataModule,
             subclass_mode_model=True,
