@@ -7,16 +7,19 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, Namespace
 
-from fploc.errors import FplocError
+from fploc.errors import FplocError, UnknownNameError
+from fploc.files import advice
+from fploc.usage import usage_message
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from fploc.sites.registry import SiteSpec
 
 BAD_INPUT = 2
 INTERRUPTED = 130
@@ -27,7 +30,12 @@ DATA_COMMANDS = {
     "build": "Pack sites. Example: fploc data build --from DIR --sites office,laboratory",
     "describe": "Count what packed sites hold, draw them. Example: fploc data describe --out overlays",
 }
-COMMANDS = {"data", *DATA_COMMANDS, "made-up", "fit", "synthesize", "evaluate", "reproduce"}
+COMMANDS = {
+    "": ("data", "made-up", "fit", "synthesize", "evaluate", "reproduce"),
+    "data": tuple(DATA_COMMANDS),
+}
+PRINTED = "-"
+SITE_FILES = (".yaml", ".yml")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,15 +52,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except FplocError as error:
         return _fail(str(error), BAD_INPUT)
     except ArgumentError as error:
-        return _fail(_usage_message(str(error), words), BAD_INPUT)
+        return _fail(usage_message(str(error), words, COMMANDS), BAD_INPUT)
     except BrokenPipeError:
         # Whoever read the output has had enough; Python must not try to flush the rest.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        place = f"{error.filename}: " if error.filename else ""
+        path = Path(os.fsdecode(error.filename)) if isinstance(error.filename, str | bytes) else None
+        place = "" if path is None else f"{path}: "
         reason = error.strerror or str(error)
-        return _fail(f"{place}{reason}; free some space or name another place, and run again", BAD_INPUT)
+        return _fail(f"{place}{reason}; {advice(error, path)}, and run again", BAD_INPUT)
     except KeyboardInterrupt:
         return _fail("interrupted; the next call goes on from the last finished step", INTERRUPTED)
 
@@ -93,8 +102,20 @@ def _data_parser(name: str, text: str) -> ArgumentParser:
     _add_data_options(parser)
     if name == "describe":
         parser.add_argument("--out", type=Path, default=Path("runs/overlays"), help="Folder of the pictures.")
-    parser.add_argument("--json", action="store_true", help="Print JSON instead of a table.")
+    _add_printed_json(parser)
     return parser
+
+
+def _add_printed_json(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--json",
+        type=str,
+        nargs="?",
+        const=PRINTED,
+        choices=["", PRINTED],
+        default="",
+        help="Print JSON instead of a table; --json - is the same.",
+    )
 
 
 def _add_data_options(parser: ArgumentParser) -> None:
@@ -107,7 +128,10 @@ def _add_data_options(parser: ArgumentParser) -> None:
     )
     _add_data_root(parser)
     parser.add_argument(
-        "--sites", type=str, default="", help="Names, separated by commas, or site files. Default: all."
+        "--sites",
+        type=str | None,
+        default=None,
+        help="Names, separated by commas, or site files. Default: all.",
     )
 
 
@@ -147,9 +171,7 @@ def _synthesize_parser() -> ArgumentParser:
     parser.add_argument(
         "--out", type=Path | None, default=None, help="Folder to write. Default: synthetic/SITE below --runs."
     )
-    parser.add_argument(
-        "--json", type=str, choices=["", "-"], default="", help="- prints match.json instead of a table."
-    )
+    _add_printed_json(parser)
     return parser
 
 
@@ -173,7 +195,14 @@ def _evaluate_parser() -> ArgumentParser:
     parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
     _add_data_root(parser)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of trained artifacts.")
-    parser.add_argument("--json", type=str, default="", help="File to write records to; - prints them.")
+    parser.add_argument(
+        "--json",
+        type=str,
+        nargs="?",
+        const=PRINTED,
+        default="",
+        help="File to write records to; - or nothing after it prints them.",
+    )
     return parser
 
 
@@ -216,7 +245,7 @@ def _run_download(options: Namespace) -> None:
 
     sites = _named_sites(options.sites)
     source = resolve_source(options.data_root, options.source, sites)
-    _print({"source": str(source), "sites": sites}, as_json=options.json)
+    _print({"source": str(source), "sites": sites}, as_json=bool(options.json))
 
 
 def _run_verify(options: Namespace) -> None:
@@ -230,9 +259,12 @@ def _run_verify(options: Namespace) -> None:
     source = resolve_source(options.data_root, options.source, named)
     present, absent = split_by_presence(source, named)
     # A site that is asked for by name must be there; of all sites, those that are not are only listed.
-    report = verify(source, named if options.sites else present)
-    skipped = () if options.sites else tuple(absent)
-    _print(asdict(report) | {"sites not there": skipped}, as_json=options.json)
+    report = verify(source, present if options.sites is None else named)
+    skipped = tuple(absent) if options.sites is None else ()
+    values = asdict(report) | {"sites not there": skipped}
+    if report.is_intact:
+        values.pop("way_out")
+    _print(values, as_json=bool(options.json))
     report.require_intact()
 
 
@@ -246,6 +278,12 @@ def _run_build(options: Namespace) -> None:
     public = [spec.site.name for spec in specs if spec.plan.file.revision is not None]
     source = resolve_source(options.data_root, options.source, public) if public else None
     reports = [build_site(spec, source, options.data_root) for spec in track(specs, "build")]
+    if options.sites is not None:
+        _report_absent(
+            [spec for spec, report in zip(specs, reports, strict=True) if report.state == "absent"],
+            source,
+            of=len(specs),
+        )
     rows = [
         {
             "site": report.site,
@@ -256,7 +294,7 @@ def _run_build(options: Namespace) -> None:
         }
         for report in reports
     ]
-    _print_rows(rows, as_json=options.json)
+    _print_rows(rows, as_json=bool(options.json))
     built = [report.site for report in reports if report.state != "absent"]
     if built and not options.json:
         from fploc.datasets.describe import describe, table_rows
@@ -264,11 +302,48 @@ def _run_build(options: Namespace) -> None:
         _print_rows(table_rows(describe(options.data_root, built)), as_json=False)
 
 
+def _report_absent(specs: Sequence[SiteSpec], source: Path | None, *, of: int) -> None:
+    """Say which sites, asked for by name, have no recording where it should be.
+
+    Raises:
+        FplocError: If these are all that were asked for.
+    """
+    errors = [_absent(spec, source) for spec in specs]
+    if len(errors) == of:
+        raise (
+            errors[0]
+            if of == 1
+            else FplocError(
+                "--sites",
+                value=f"no recording of {', '.join(spec.site.name for spec in specs)}",
+                expected="at least one site with recordings",
+                way_out=errors[0].way_out,
+            )
+        )
+    for error in errors:
+        _fail(f"skipped {error}", BAD_INPUT)
+
+
+def _absent(spec: SiteSpec, source: Path | None) -> FplocError:
+    name = spec.site.name
+    own = all(file.revision is None for file in spec.files)
+    return FplocError(
+        f"--sites {name}",
+        value=f"no recording of it in {spec.path.parent if own else source}",
+        expected="at least one of those that its site file lists",
+        way_out=f"correct the paths in {spec.path}"
+        if own
+        else f"fetch it with `fploc data download --sites {name}`, or point --from at a copy that has it",
+    )
+
+
 def _run_describe(options: Namespace) -> None:
     from fploc.datasets.describe import describe, table_rows, write_overlays
     from fploc.datasets.packed import packed_sites
 
-    sites = options.sites.split(",") if options.sites else packed_sites(options.data_root)
+    sites = packed_sites(options.data_root)
+    if options.sites is not None:
+        sites = [_packed_name(name) for name in _named_sites(options.sites, also=sites)]
     descriptions = describe(options.data_root, sites)
     if options.json:
         print(json.dumps([description.to_json() for description in descriptions], indent=2))  # noqa: T201
@@ -276,6 +351,12 @@ def _run_describe(options: Namespace) -> None:
         _print_rows(table_rows(descriptions), as_json=False)
     for path in write_overlays(options.data_root, sites, options.out):
         print(f"picture: {path}", file=sys.stderr)  # noqa: T201
+
+
+def _packed_name(name_or_file: str) -> str:
+    from fploc.sites.registry import load_spec
+
+    return load_spec(name_or_file).site.name if name_or_file.endswith(SITE_FILES) else name_or_file
 
 
 def _run_made_up(options: Namespace) -> None:
@@ -315,6 +396,8 @@ def _run_evaluate(options: Namespace) -> None:
     from fploc.evaluation.records import write_records
     from fploc.experiments.scoring import DEFAULT_CALIBRATION, answer
 
+    if options.json not in ("", PRINTED):
+        _require_place(Path(options.json))
     request = EvaluationRequest(
         protocol=options.protocol,
         site=options.site,
@@ -329,7 +412,7 @@ def _run_evaluate(options: Namespace) -> None:
     )
     answered = answer(options.method, request, options.calibration, options.data_root, options.runs)
     records = [record.as_json() for record in answered]
-    if options.json == "-":
+    if options.json == PRINTED:
         print(json.dumps(records, indent=2))  # noqa: T201
         return
     if options.json:
@@ -338,10 +421,21 @@ def _run_evaluate(options: Namespace) -> None:
     _print_rows([{name: _text(record[name]) for name in columns} for record in records], as_json=False)
 
 
+def _require_place(file: Path) -> None:
+    """Do nothing where ``--json FILE`` can be written, before anything is evaluated for it."""
+    if file.is_dir() or not file.parent.is_dir():
+        raise FplocError(
+            f"--json {file}",
+            value="a folder" if file.is_dir() else f"no folder {file.parent}",
+            expected="a file in a folder that exists",
+            way_out="name a file in it" if file.is_dir() else "make the folder or name another",
+        )
+
+
 def _run_reproduce(options: Namespace) -> None:
     from fploc.experiments.reproduce import reproduce
 
-    sites = _named_sites(options.sites) if options.sites else None
+    sites = None if options.sites is None else _named_sites(options.sites)
     reproduce(options.preset, options.data_root, options.source, options.runs, sites)
 
 
@@ -352,10 +446,36 @@ def _fit(words: list[str]) -> int:
     return 0
 
 
-def _named_sites(text: str) -> list[str]:
+def _named_sites(text: str | None, also: Sequence[str] = ()) -> list[str]:
+    """Return the sites that ``--sites`` names, each once; None stands for the whole registry.
+
+    Args:
+        text: Names or site files, separated by commas.
+        also: Names that may be given beside those of the registry.
+
+    Raises:
+        UnknownNameError: If a site is unknown.
+        FplocError: If none is named.
+    """
     from fploc.sites.registry import known_sites
 
-    return [name.strip() for name in text.split(",")] if text else list(known_sites())
+    known = list(dict.fromkeys((*known_sites(), *also)))
+    if text is None:
+        return list(known_sites())
+    names = list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise FplocError(
+            "--sites",
+            value=repr(text),
+            expected=f"names separated by commas, of {', '.join(known)}",
+            way_out="or leave it out for all sites",
+        )
+    for name in names:
+        if name not in known and not name.endswith(SITE_FILES):
+            raise UnknownNameError(
+                "--sites", name, known=known, way_out="or give the path of a site file (.yaml)"
+            )
+    return names
 
 
 def _print(values: dict[str, Any], *, as_json: bool) -> None:
@@ -385,12 +505,6 @@ def _text(value: object) -> str:
 def _fail(message: str, code: int) -> int:
     print(f"fploc: {message}", file=sys.stderr)  # noqa: T201
     return code
-
-
-def _usage_message(reason: str, words: Sequence[str]) -> str:
-    """Return in one line why words were refused, and where the right ones stand."""
-    command = " ".join(["fploc", *takewhile(lambda word: word in COMMANDS, words)])
-    return f"{' '.join(reason.split()).rstrip('.')}; see `{command} --help`"
 
 
 def _version() -> str:

@@ -41,7 +41,9 @@ def advice(error: OSError, path: Path | None) -> str:
         return "name another place"
     if error.errno == errno.EISDIR:
         return f"{path} is a folder: name a file"
-    first = next((folder for folder in reversed(path.parents) if not folder.is_dir()), path)
+    first = next((folder for folder in reversed(path.parents) if not folder.is_dir()), None)
+    if first is None:
+        return "name another place"
     if first.exists():
         return f"{first} is no folder: name another"
     return f"{first} does not exist: make the folder or name another"

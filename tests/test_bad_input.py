@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import resource
 import shutil
@@ -16,6 +18,8 @@ import yaml
 
 from fploc.cli import main
 from fploc.datasets.build import build_sites
+from fploc.experiments.scoring import METHODS
+from fploc.files import whole
 from fploc.sites.made_up import made_up_site
 
 NAME = "made-up-8"
@@ -244,7 +248,7 @@ def fploc_download() -> Callable[..., Path]:
     ("words", "told"),
     [
         (["--site", "moon"], "packed/moon"),
-        (["--method", "magic"], "'magic'"),
+        (["--method", "nlz"], f"--method: found 'nlz', expected one of {', '.join(METHODS)};"),
         (["--protocol", "guess"], "--protocol: found 'guess'"),
         (["--device", "3"], "--device: found '3'"),
         (["--preset", "huge"], "--preset: found huge"),
@@ -254,12 +258,13 @@ def fploc_download() -> Callable[..., Path]:
         (["--thin", "0"], "--thin: found 0"),
         (["--thin", "-3"], "--thin: found -3"),
         (["--speed-prior", "0"], "--speed-prior: found 0"),
-        (["--speed-prior", "inf"], "speed_prior"),
+        (["--speed-prior", "inf"], "--speed-prior: Expected a finite number"),
         (["--plan", "moon"], "--plan: found 'moon', expected one of real, blank,"),
         (["--site", "office"], "--site with --protocol zero-shot"),
         (["--data-root", "nowhere"], "fploc data build"),
         (["--method", "gnn"], "fploc reproduce --preset default"),
-        (["--json", "no/such/folder/records.jsonl"], "no/such/folder/records.jsonl"),
+        (["--json", "no/such/folder/records.jsonl"], "no/such/folder/records.jsonl: found no folder no/such"),
+        (["--json", "."], "--json .: found a folder, expected a file"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -275,6 +280,76 @@ def test_an_option_that_cannot_be_used_is_named(
     asked = ["--method", "nls", "--site", NAME, "--calibration", "none", "--data-root", packed_world]
     assert told in fails("evaluate", *asked, *words)
     assert not list(tmp_path.iterdir())
+
+
+def test_where_records_cannot_go_is_told_before_anything_is_scored(
+    packed_world: Path, tmp_path: Path, fails: Fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("fploc.experiments.scoring.answer", lambda *_: pytest.fail("it was evaluated"))
+    words = ["--method", "nls", "--site", NAME, "--data-root", packed_world]
+    line = fails("evaluate", *words, "--json", tmp_path / "none" / "records.jsonl")
+    assert line.endswith("make the folder or name another\n")
+
+
+@pytest.mark.parametrize(
+    "command", ["data download", "data verify", "data build", "data describe", "reproduce"]
+)
+@pytest.mark.parametrize("sites", ["", " ,, ", "moon", "office,moon"])
+def test_sites_that_cannot_be_used_are_named_by_every_command(
+    command: str, sites: str, packed_world: Path, fails: Fails
+) -> None:
+    line = fails(*command.split(), "--sites", sites, "--data-root", packed_world)
+    assert line.startswith("fploc: --sites: found ")
+    assert "office-position1" in line and "carpark" in line
+    assert (NAME in line) == (command == "data describe")
+
+
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [
+        (errno.ENOSPC, "free some space"),
+        (errno.EFBIG, "free some space"),
+        (errno.EACCES, "name a folder that can be written to"),
+        (errno.EROFS, "name a folder that can be written to"),
+        (errno.EISDIR, "{file} is a folder: name a file"),
+        (errno.EIO, "name another place"),
+    ],
+    ids=lambda value: errno.errorcode[value] if isinstance(value, int) else "",
+)
+def test_what_the_system_refuses_is_told_with_the_way_out(
+    number: int, told: str, tmp_path: Path, fails: Fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "records.jsonl"
+
+    def refuse(*_: object) -> None:
+        with whole(file):
+            raise OSError(number, os.strerror(number), f"{file}.part")
+
+    monkeypatch.setattr("fploc.sites.made_up.made_up_site", refuse)
+    line = fails("made-up", "--seed", "1", "--out", tmp_path)
+    assert line == f"fploc: {file}: {os.strerror(number)}; {told.format(file=file)}, and run again\n"
+
+
+@pytest.mark.parametrize("kind", ["missing", "a file"])
+def test_a_folder_that_is_none_is_told(
+    kind: str, tmp_path: Path, fails: Fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "folder"
+    if kind == "a file":
+        folder.write_text("x")
+
+    def refuse(*_: object) -> None:
+        with whole(folder / "deeper" / "records.jsonl") as part:
+            part.write_text("x")
+
+    monkeypatch.setattr("fploc.sites.made_up.made_up_site", refuse)
+    line = fails("made-up", "--seed", "1", "--out", tmp_path)
+    told = (
+        "does not exist: make the folder or name another"
+        if kind == "missing"
+        else "is no folder: name another"
+    )
+    assert line.endswith(f"; {folder} {told}, and run again\n") and ".part" not in line
 
 
 @pytest.fixture(scope="module")

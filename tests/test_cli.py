@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from fploc.cli import main
+from fploc.sites.registry import load_spec
 
 FPLOC = Path(sys.executable).with_name("fploc")
 COMMANDS = [
@@ -94,6 +95,81 @@ def test_refused_words_end_in_one_line(
     assert out == "" and len(err.splitlines()) == 1
     assert err.startswith("fploc: ") and err.endswith(f"; see `{see}`\n")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([], "found no command, expected one of data, made-up, fit, synthesize, evaluate, reproduce;"),
+        (["fly"], "found 'fly', expected one of data, made-up, fit,"),
+        (["data"], "found no command, expected one of download, verify, build, describe;"),
+        (["data", "fly"], "found 'fly', expected one of download, verify, build, describe;"),
+        (["evaluate"], "required: --method, --site;"),
+        (["evaluate", "--method", "nls", "--site", "a", "--thin", "two"], "--thin: Expected a whole number."),
+        (
+            ["evaluate", "--method", "nls", "--site", "a", "--speed-prior", "x"],
+            "--speed-prior: Expected a finite",
+        ),
+        (["synthesize", "--site", "office", "--json", "x"], "argument --json: invalid choice: 'x'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_refused_words_are_told_in_the_names_of_options(
+    words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("fploc: ") and told in err
+    assert "<class" not in err and "data_command" not in err and "evaluate." not in err
+
+
+@pytest.mark.parametrize("asked", [["--json"], ["--json", "-"]], ids=" ".join)
+@pytest.mark.parametrize("command", ["data", "evaluate"])
+def test_json_is_asked_for_in_one_way(
+    command: str, asked: list[str], data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = {
+        "data": ["data", "describe", "--sites", "laboratory", "--out", str(tmp_path)],
+        "evaluate": ["evaluate", "--method", "lls", "--site", "laboratory", "--thin", "50"],
+    }[command]
+    assert main([*words, "--data-root", str(data_root), *asked]) == 0
+    assert {one["site"] for one in json.loads(capsys.readouterr().out)} == {"laboratory"}
+
+
+def test_names_of_sites_may_stand_apart(
+    data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["data", "describe", "--data-root", str(data_root), "--out", str(tmp_path), "--json"]
+    assert main([*words, "--sites", " office, laboratory,,office "]) == 0
+    assert [one["site"] for one in json.loads(capsys.readouterr().out)] == ["office", "laboratory"]
+
+
+def test_a_site_without_recordings_that_was_asked_for_is_told(
+    source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "copy"
+    (copy / "2b19c6c" / "raw_data").mkdir(parents=True)
+    (copy / "2b19c6c" / "raw_data" / "Laboratory").symlink_to(source / "2b19c6c" / "raw_data" / "Laboratory")
+    for file in load_spec("laboratory").files:
+        target = copy / file.name
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.symlink_to(source / file.name)
+    words = ["data", "build", "--from", str(copy), "--data-root", str(tmp_path / "data"), "--json", "--sites"]
+    assert main([*words, "library"]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and len(err.splitlines()) == 1
+    assert f"--sites library: found no recording of it in {copy}" in err
+    assert "fploc data download --sites library" in err and "--from" in err
+    assert main([*words, "library,shopping-mall"]) == 2
+    assert "no recording of library, shopping-mall" in capsys.readouterr().err
+    assert main([*words, "library,laboratory"]) == 0
+    out, err = capsys.readouterr()
+    assert err.startswith("fploc: skipped --sites library: found no recording") and len(err.splitlines()) == 1
+    assert [(row["site"], row["state"]) for row in json.loads(out)] == [
+        ("library", "absent"),
+        ("laboratory", "built"),
+    ]
 
 
 @pytest.mark.parametrize("text", [None, "a: [", "thinn: 2\n"], ids=["missing", "no YAML", "unknown key"])
@@ -192,7 +268,7 @@ def test_verify_of_all_sites_lists_those_that_a_copy_does_not_have(
     monkeypatch.setenv("FPLOC_SOURCE", str(source))
     assert main(["data", "verify", "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed["missing"] == [] and printed["checked"] > 100
+    assert printed["missing"] == [] and printed["checked"] > 100 and "way_out" not in printed
     absent = printed["sites not there"]
     assert "office" not in absent
     for name in absent:

@@ -228,7 +228,7 @@ def _fetch_file(
             str(target),
             value=error.strerror or str(error),
             expected="a folder with room to write to",
-            way_out=f"{advice(error, target)}, or choose another one with --data-root DIR",
+            way_out=f"{advice(error, target)}; --data-root DIR names another folder",
         ) from error
 
 
