@@ -16,8 +16,6 @@ from fploc.datasets.packed import PackedSite, packed_folder, read_packed
 from fploc.datasets.recordings import Recording
 from fploc.datasets.samples import LabelledIntervals, MeasuredIntervals
 
-VALIDATION_BATCH = 256
-
 
 class MeasuredDataModule(pl.LightningDataModule):
     """Recordings of a source site.
@@ -34,6 +32,7 @@ class MeasuredDataModule(pl.LightningDataModule):
         batch_size: Intervals of a training batch.
         batches: Training batches of an epoch.
         seed: Seed of the order of training batches.
+        offsets_file: Offsets fitted and saved before; None fits them in ``setup``.
     """
 
     def __init__(
@@ -46,6 +45,7 @@ class MeasuredDataModule(pl.LightningDataModule):
         batch_size: int = 64,
         batches: int = 50,
         seed: int = 0,
+        offsets_file: Path | None = None,
     ) -> None:
         super().__init__()
         self.data_root = data_root
@@ -56,6 +56,7 @@ class MeasuredDataModule(pl.LightningDataModule):
         self.batch_size = batch_size
         self.batches = batches
         self.seed = seed
+        self.offsets_file = offsets_file
         self.packed: PackedSite | None = None
         self.offsets: RangeOffsets | None = None
 
@@ -66,11 +67,16 @@ class MeasuredDataModule(pl.LightningDataModule):
             build_sites(source, self.data_root, [self.site])
 
     def setup(self, stage: str | None = None) -> None:
-        """Split the recordings, fit the offsets on the training part and apply them."""
+        """Split the recordings, fit the offsets on the training part or load them, and apply them."""
         self.packed = read_packed(self.data_root, self.site)
-        self.offsets = fit_offsets(
-            self.calibration, self.recordings("train"), self.packed.site, self.packed.plan
+        self.offsets = (
+            self.fitted_offsets() if self.offsets_file is None else RangeOffsets.load(self.offsets_file)
         )
+
+    def fitted_offsets(self) -> RangeOffsets:
+        """Return offsets fitted on the training recordings."""
+        assert self.packed is not None, "setup() comes first"
+        return fit_offsets(self.calibration, self.recordings("train"), self.packed.site, self.packed.plan)
 
     def recordings(self, part: str) -> list[Recording]:
         """Return the recordings of ``train``, ``validate`` or ``test``."""
@@ -88,11 +94,15 @@ class MeasuredDataModule(pl.LightningDataModule):
 
     def train_dataloader(self) -> dict[str, DataLoader[LabelledIntervals]]:
         """Return the stream of training batches, by name as tasks take it."""
-        loader = random_batches(
-            self.intervals("train"), batch_size=self.batch_size, batches=self.batches, seed=self.seed
+        return self.streams(self.seed)
+
+    def streams(self, seed: int) -> dict[str, DataLoader[LabelledIntervals]]:
+        """Return the stream of training batches in the order that ``seed`` gives."""
+        batches = random_batches(
+            self.intervals("train"), batch_size=self.batch_size, batches=self.batches, seed=seed
         )
-        return {"measured": loader}
+        return {"measured": batches}
 
     def val_dataloader(self) -> DataLoader[LabelledIntervals]:
         """Return the validation recordings in order."""
-        return ordered_batches(self.intervals("validate"), batch_size=VALIDATION_BATCH)
+        return ordered_batches(self.intervals("validate"), batch_size=self.batch_size)

@@ -30,8 +30,6 @@ from fploc.sites.site import Site
 
 ROWS_AT_ONCE = 4096
 """Intervals that a memoryless method solves in one call: bounds memory, not results."""
-REFINED_ROWS_AT_ONCE = 256
-"""The same for methods that look at a crop of every link."""
 
 
 @dataclass(frozen=True)
@@ -250,7 +248,9 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
         smoothed.positions.flatten(0, 1), smoothed.covariances.flatten(0, 1), smoothed.reasons.flatten()
     )
     refined = []
-    for at in track(_chunks(steps * devices, REFINED_ROWS_AT_ONCE), method.name):
+    for at in track(
+        _chunks(steps * devices, method.rows_at_once(len(localizer.site.access_points))), method.name
+    ):
         coarse_chunk = Estimate(
             coarse_rows.positions[at], coarse_rows.covariances[at], coarse_rows.reasons[at]
         )

@@ -17,7 +17,8 @@ from fploc.models.fpdnn import FPDNN
 from fploc.models.generator import Generator
 
 STREAMS = 2
-"""Measured and virtual batches alternate, and a virtual one is drawn by the generator."""
+"""FPDNN learns from a measured and a virtual batch at each step."""
+LONG_S = 4 * 3600.0
 
 
 def training_steps(preset: Preset, targets: int) -> dict[str, int]:
@@ -29,52 +30,69 @@ def training_steps(preset: Preset, targets: int) -> dict[str, int]:
     }
 
 
-def estimate_seconds(preset: Preset, measured: MeasuredDataModule, targets: int) -> float:
-    """Return the time that the trainings on crops will take here, seconds; the GNN's is negligible."""
+def virtual_draws(preset: Preset, targets: int) -> int:
+    """Return how many virtual batches the generator draws in all trainings of a preset."""
+    return preset.pool_batches * (1 + targets) * len(preset.seeds)
+
+
+def estimate_seconds(preset: Preset, measured: MeasuredDataModule, targets: int, device: str) -> float:
+    """Return the time that learning from crops on ``device`` and drawing virtual batches take, seconds.
+
+    The GNN, validation and scoring come on top; they are small beside these.
+    """
     batch = next(iter(measured.train_dataloader()["measured"]))
     steps = training_steps(preset, targets)
-    return steps["generator"] * _seconds(_generator_step(preset, batch)) + steps["fpdnn"] * _seconds(
-        _fpdnn_step(preset, batch)
+    generator, fpdnn = _generator_loss(preset, batch, device), _fpdnn_loss(preset, batch, device)
+    return (
+        steps["generator"] * _seconds(lambda: generator().backward())
+        + steps["fpdnn"] * _seconds(lambda: fpdnn().backward())
+        + virtual_draws(preset, targets) * _seconds(_generator_loss(preset, batch, "cpu"))
     )
 
 
 def announce_duration(preset: Preset, measured: MeasuredDataModule, targets: int) -> None:
-    """Say on stderr how long the preset will take from its start."""
-    device = "GPU" if torch.cuda.is_available() else "CPU"
-    seconds = round(estimate_seconds(preset, measured, targets))
-    advice = "" if device == "GPU" or seconds < 4 * 3600 else "; a GPU is advised"
-    text = f"preset {preset.name}: trainings take about {timedelta(seconds=seconds)} on this {device}{advice}"
+    """Say on stderr how long the trainings of a preset will take from their start."""
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    seconds = estimate_seconds(preset, measured, targets, device)
+    advice = "; a GPU is advised" if device == "cpu" and seconds > LONG_S else ""
+    told = {"cuda": "this GPU", "cpu": "this CPU"}[device]
+    duration = timedelta(seconds=round(seconds))
+    text = f"preset {preset.name}: trainings take about {duration} on {told}{advice}"
     print(text, file=sys.stderr, flush=True)  # noqa: T201
 
 
-def _generator_step(preset: Preset, batch: LabelledIntervals) -> Callable[[], torch.Tensor]:
-    network = instantiate(Generator, preset.network_specs["generator"])
-    links = batch.links
-    ends = batch.positions[links.device]
+def _generator_loss(preset: Preset, batch: LabelledIntervals, device: str) -> Callable[[], torch.Tensor]:
+    network = instantiate(Generator, preset.network_specs["generator"]).to(device)
+    moved = batch.to(device)
+    links = moved.links
+    ends = moved.positions[links.device]
 
     def loss() -> torch.Tensor:
-        crops = network.vision.crops.crop(batch.plan, links.access_points, ends)
+        crops = network.vision.crops.crop(moved.plan, links.access_points, ends)
         return network(crops.images, crops.lengths_px, links.ranges).log_prob_error(links.ranges).sum()
 
     return loss
 
 
-def _fpdnn_step(preset: Preset, batch: LabelledIntervals) -> Callable[[], torch.Tensor]:
-    network = instantiate(FPDNN, preset.network_specs["fpdnn"])
-    links = batch.links
-    ends = batch.positions[links.device]
+def _fpdnn_loss(preset: Preset, batch: LabelledIntervals, device: str) -> Callable[[], torch.Tensor]:
+    network = instantiate(FPDNN, preset.network_specs["fpdnn"]).to(device)
+    moved = batch.to(device)
+    links = moved.links
+    ends = moved.positions[links.device]
 
     def loss() -> torch.Tensor:
-        crops = network.vision.crops.crop(batch.plan, links.access_points, ends)
+        crops = network.vision.crops.crop(moved.plan, links.access_points, ends)
         distances: torch.Tensor = network(crops.images, crops.lengths_px, links.ranges, links.rss)
         return distances.sum()
 
     return loss
 
 
-def _seconds(loss: Callable[[], torch.Tensor]) -> float:
-    """Return the time of one forward and backward pass, after one to warm up."""
-    loss().backward()
+def _seconds(step: Callable[[], object]) -> float:
+    """Return the time of one step, after one to warm up."""
+    step()
     started = time.perf_counter()
-    loss().backward()
+    step()
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
     return time.perf_counter() - started

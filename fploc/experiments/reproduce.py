@@ -7,8 +7,8 @@ import logging
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
-from functools import partial
+from dataclasses import asdict, replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +36,7 @@ from fploc.experiments.scoring import (
 )
 from fploc.experiments.stages import Stage, StageBook
 from fploc.experiments.training import (
+    Loggers,
     chain_artifacts,
     fit_dropout,
     synthetic_data,
@@ -75,15 +76,7 @@ class Reproduction:
         self.folder = runs / (f"{preset.name}-made-up" if world.made_up else preset.name)
         self.artifacts = artifacts_folder(runs)
         self.packed = {site: read_packed(data_root, site) for site in (world.source, *world.targets)}
-        self.measured = MeasuredDataModule(
-            data_root=data_root,
-            site=world.source,
-            calibration=preset.calibration,
-            labels=preset.labels,
-            batch_size=preset.batch_intervals,
-            batches=preset.batches_per_epoch,
-        )
-        self.measured.setup()
+        self.offsets_file = self.folder / "calibration" / f"{world.source}.json"
         self.log = RunLog(runs, EXPERIMENT)
 
     def stages(self) -> list[Stage]:
@@ -92,30 +85,60 @@ class Reproduction:
         scorings = [self._scoring_stage(scoring) for scoring in self._scorings()]
         return [self._calibration_stage(), *trainings, *scorings, self._report_stage(scorings)]
 
+    def source_data(self, offsets_file: Path | None) -> MeasuredDataModule:
+        """Return the source's recordings, ready; offsets are fitted anew where no file is given."""
+        measured = MeasuredDataModule(
+            data_root=self.data_root,
+            site=self.world.source,
+            calibration=self.preset.calibration,
+            labels=self.preset.labels,
+            batch_size=self.preset.batch_intervals,
+            batches=self.preset.batches_per_epoch,
+            offsets_file=offsets_file,
+        )
+        measured.setup()
+        return measured
+
+    @cached_property
+    def measured(self) -> MeasuredDataModule:
+        """The source's recordings behind the offsets that the calibration stage has saved."""
+        return self.source_data(self.offsets_file)
+
     def _calibration_stage(self) -> Stage:
         source = self.world.source
-        file = self.folder / "calibration" / f"{source}.json"
-        return self._stage(f"calibrate--{source}", [source], [file], partial(self._calibrate, file))
+        return self._stage(self._calibration_name, [source], [self.offsets_file], (), self._calibrate)
+
+    @property
+    def _calibration_name(self) -> str:
+        return f"calibrate--{self.world.source}"
+
+    @staticmethod
+    def _training_name(what: str, seed: int) -> str:
+        return f"{TRAINING}{what}--seed-{seed}"
 
     def _training_stages(self, seed: int) -> Iterator[Stage]:
         source = self.world.source
+        generator, chain = self._training_name("generator", seed), self._training_name(source, seed)
         yield self._stage(
-            f"{TRAINING}generator--seed-{seed}",
+            generator,
             [source],
             [self._key("generator", "seen", source, seed).folder(self.artifacts)],
+            [self._calibration_name],
             partial(self._train_generator, seed),
         )
         yield self._stage(
-            f"{TRAINING}{source}--seed-{seed}",
+            chain,
             [source],
             [self._key("gnn-fpdnn", "seen", source, seed).folder(self.artifacts)],
+            [generator],
             partial(self._train, source, "seen", seed),
         )
         for target in self.world.targets:
             yield self._stage(
-                f"{TRAINING}{target}--seed-{seed}",
+                self._training_name(target, seed),
                 [source, target],
                 [self._key("gnn-fpdnn", "zero-shot", target, seed).folder(self.artifacts)],
+                [chain],
                 partial(self._train, target, "zero-shot", seed),
             )
 
@@ -128,10 +151,13 @@ class Reproduction:
                     yield Scoring(method, protocol, site, seed)
 
     def _scoring_stage(self, scoring: Scoring) -> Stage:
+        learned = scoring.method in LEARNED_METHODS
+        trained = self._training_name(scoring.site, scoring.seed)
         return self._stage(
             f"score--{scoring.name}",
             [self.world.source, scoring.site],
-            [self._records_file(scoring)],
+            [self._records_file(scoring), self._records_file(scoring).with_suffix(".npz")],
+            [trained if learned else self._calibration_name],
             partial(self._score, scoring),
         )
 
@@ -139,15 +165,22 @@ class Reproduction:
         return Stage(
             name="report",
             inputs=[f"{stage.name} {stage.key}" for stage in scorings],
-            outputs=[self.folder / "records.jsonl", self.folder / "results.md"],
+            outputs=[self.folder / name for name in ("records.jsonl", "results.md", "figures")],
+            after=[stage.name for stage in scorings],
             run=self._report,
         )
 
     def _stage(
-        self, name: str, sites: Sequence[str], outputs: Sequence[Path], run: Callable[[], None]
+        self,
+        name: str,
+        sites: Sequence[str],
+        outputs: Sequence[Path],
+        after: Sequence[str],
+        run: Callable[[], None],
     ) -> Stage:
         hashes = [self.packed[site].manifest_hash for site in sites]
-        return Stage(name=name, inputs=[self.preset.fingerprint, *hashes], outputs=outputs, run=run)
+        inputs = [self.preset.fingerprint, *hashes]
+        return Stage(name=name, inputs=inputs, outputs=outputs, after=after, run=run)
 
     def _key(self, method: str, protocol: str, target: str, seed: int) -> ArtifactKey:
         return ArtifactKey(method, protocol, target, self.preset.name, seed)
@@ -157,24 +190,20 @@ class Reproduction:
             self.artifacts,
             self._key(method, protocol, target, seed),
             data_hash=self._data_hash(target),
-            command=reproduce_command(self.preset.name),
+            command=reproduce_command(self.preset.name, target),
         )
 
     def _data_hash(self, target: str) -> str:
         return data_hash(self.packed[self.world.source], self.packed[target])
 
-    def _calibrate(self, file: Path) -> None:
-        assert self.measured.offsets is not None, "setup() has fitted them"
-        file.parent.mkdir(parents=True, exist_ok=True)
-        self.measured.offsets.save(file)
+    def _calibrate(self) -> None:
+        self.offsets_file.parent.mkdir(parents=True, exist_ok=True)
+        self.source_data(None).fitted_offsets().save(self.offsets_file)
 
     def _train_generator(self, seed: int) -> None:
         source = self.world.source
-        logger = self.log.training_logger(
-            f"train generator ({source})", self._tags("training", "seen", source, seed)
-        )
         generator, metrics = train_generator(
-            self.preset, self.measured, seed, logger=logger, folder=self.folder
+            self.preset, self.measured, seed, loggers=self._loggers("seen", source, seed), folder=self.folder
         )
         recordings = self.measured.recordings("train")
         dropout = fit_dropout(recordings, self.packed[source].site, self.preset.labels)
@@ -185,7 +214,7 @@ class Reproduction:
             constants={"heard_shares": list(dropout.heard_shares), "validation": metrics},
             data_hash=self._data_hash(source),
             recordings=tuple(f"{one.site}/{one.name}" for one in recordings),
-            command=reproduce_command(self.preset.name),
+            command=reproduce_command(self.preset.name, source),
         ).save(self.artifacts)
 
     def _train(self, target: str, protocol: str, seed: int) -> None:
@@ -198,9 +227,6 @@ class Reproduction:
             if protocol == "seen"
             else trained_from(self._load("gnn-fpdnn", "seen", self.world.source, seed))
         )
-        logger = self.log.training_logger(
-            f"train chain ({target})", self._tags("training", protocol, target, seed)
-        )
         trained = train_chain(
             self.preset,
             self.measured,
@@ -209,7 +235,7 @@ class Reproduction:
             ),
             seed,
             start=start,
-            logger=logger,
+            loggers=self._loggers(protocol, target, seed),
             folder=self.folder,
         )
         for made in chain_artifacts(
@@ -220,9 +246,13 @@ class Reproduction:
             target=target,
             seed=seed,
             data_hash=self._data_hash(target),
-            command=reproduce_command(self.preset.name),
+            command=reproduce_command(self.preset.name, target),
         ):
             made.save(self.artifacts)
+
+    def _loggers(self, protocol: str, site: str, seed: int) -> Loggers:
+        tags = self._tags("training", protocol, site, seed)
+        return lambda network: self.log.training_logger(f"train {network} · {protocol} · {site}", tags)
 
     def _score(self, scoring: Scoring) -> None:
         request = EvaluationRequest(
@@ -236,7 +266,8 @@ class Reproduction:
         )
         ready = ready_method(scoring.method, request, None, self.data_root, self.runs)
         tracks = tracks_of(ready.method, request, self.data_root, offsets=ready.offsets)
-        records = records_of(scoring.method, request, tracks, artifact=ready.artifact)
+        scored = replace(request, calibration=ready.offsets.estimator)
+        records = records_of(scoring.method, scored, tracks, artifact=ready.artifact)
         run_id = self._record_run(scoring, records, tracks)
         file = self._records_file(scoring)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -370,7 +401,7 @@ def reproduce(
     reproduction = Reproduction(preset, world, data_root, runs)
     book, stages = StageBook(reproduction.folder / "stages"), reproduction.stages()
     if not all(book.is_done(stage) for stage in stages if stage.name.startswith(TRAINING)):
-        announce_duration(preset, reproduction.measured, len(world.targets))
+        announce_duration(preset, reproduction.source_data(None), len(world.targets))
     book.run(stages)
     tracked = read_tracked_records(reproduction.folder / "records.jsonl")
     title = "MADE-UP BUILDINGS, no real data" if world.made_up else "public data"

@@ -11,7 +11,7 @@ from fploc.calibration.offsets import RangeOffsets
 from fploc.datasets.packed import PackedSite, packed_sites, read_packed
 from fploc.errors import FplocError, UnknownNameError
 from fploc.evaluation.evaluate import EvaluationRequest, evaluate, source_offsets
-from fploc.evaluation.protocols import protocol_of
+from fploc.evaluation.protocols import PUBLIC_SOURCE, protocol_of
 from fploc.evaluation.records import Record
 from fploc.experiments.preset import PRESETS
 from fploc.experiments.training import trained_from
@@ -52,9 +52,10 @@ def data_hash(*packed: PackedSite) -> str:
     return hashlib.sha256("".join(site.manifest_hash for site in packed).encode()).hexdigest()
 
 
-def reproduce_command(preset: str) -> str:
-    """Return the command that makes the artifacts of a preset."""
-    return f"fploc reproduce --preset {preset}"
+def reproduce_command(preset: str, target: str) -> str:
+    """Return the command that makes the artifacts of a preset for a target, or for the source alone."""
+    sites = "" if target == PUBLIC_SOURCE else f" --sites {target}"
+    return f"fploc reproduce --preset {preset}{sites}"
 
 
 def artifacts_folder(runs: Path) -> Path:
@@ -76,7 +77,7 @@ def ready_method(
     Args:
         name: Of the method.
         request: What is asked of it.
-        calibration: As asked for; None takes the artifact's, or the request's for geometric methods.
+        calibration: As asked for; None takes the artifact's, or a geometric method's own default.
         data_root: Folder of packed sites.
         runs: Folder of runs.
 
@@ -86,7 +87,9 @@ def ready_method(
         FplocError: If the plan that was asked for cannot be used.
     """
     if name not in LEARNED_METHODS:
-        return ReadyMethod(geometric_method(name), source_offsets(request, data_root), artifact=None)
+        own = default_calibration(name) if calibration is None else calibration
+        offsets = source_offsets(replace(request, calibration=own), data_root)
+        return ReadyMethod(geometric_method(name), offsets, artifact=None)
     protocol = protocol_of(request.protocol, request.source)
     protocol.check_target(request.site)
     source, target = read_packed(data_root, protocol.source), read_packed(data_root, request.site)
@@ -95,19 +98,29 @@ def ready_method(
         artifacts_folder(runs),
         key,
         data_hash=data_hash(source, target),
-        command=reproduce_command(request.preset),
+        command=reproduce_command(request.preset, request.site),
     )
     offsets = offsets_of(artifact) if calibration is None else source_offsets(request, data_root)
     plan = chosen_plan(request.plan, target, data_root)
     return ReadyMethod(
-        learned_method(artifact, plan),
+        learned_method(artifact, plan, KalmanSettings.for_speed(request.speed_prior)),
         offsets,
         artifact=str(key.folder(Path())),
     )
 
 
-def learned_method(artifact: Artifact, plan: FloorPlan) -> Method:
-    """Return the method that an artifact holds, on a plan."""
+def check_method(name: str) -> None:
+    """Raise where there is no method ``name``.
+
+    Raises:
+        UnknownNameError: Listing all methods.
+    """
+    if name not in METHODS:
+        raise UnknownNameError("--method", name, known=list(METHODS), way_out="choose one of these")
+
+
+def learned_method(artifact: Artifact, plan: FloorPlan, filter_settings: KalmanSettings) -> Method:
+    """Return the method that an artifact holds, on a plan, with settings of its filter on coarse positions."""
     if artifact.key.method == "gnn":
         gnn = artifact.networks["gnn"]
         return GNNMethod(gnn, float(artifact.constants["variance_m2"]))  # type: ignore[arg-type]
@@ -119,7 +132,7 @@ def learned_method(artifact: Artifact, plan: FloorPlan) -> Method:
         crops=trained.fpdnn.vision.crops,
         solver=SOLVERS[artifact.constants["solver"]],
         sigma_m=trained.sigma_m,
-        filter_settings=KalmanSettings(),
+        filter_settings=filter_settings,
     )
 
 
@@ -170,14 +183,13 @@ def answer(
     Raises:
         FplocError: If an option cannot be used, or data or artifact are not there.
     """
+    check_method(name)
     request.check()
     if request.preset not in PRESETS:
         raise FplocError(
             "--preset", value=request.preset, expected=", ".join(PRESETS), way_out="choose one of these"
         )
     check_plan(request.plan, data_root)
-    if calibration is None and name not in LEARNED_METHODS:
-        request = replace(request, calibration=default_calibration(name))
     ready = ready_method(name, request, calibration, data_root, runs)
     request = replace(request, calibration=ready.offsets.estimator)
     return evaluate(ready.method, request, data_root, offsets=ready.offsets, artifact=ready.artifact)

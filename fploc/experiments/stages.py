@@ -21,12 +21,14 @@ class Stage:
         name: Short, used as a file name.
         inputs: Everything that its result depends on, as texts: settings, hashes of data, earlier stages.
         outputs: Files or folders that must still be there for the stage to count as done.
+        after: Names of stages whose results it takes: when one of them runs again, so does this one.
         run: Does the work.
     """
 
     name: str
     inputs: Sequence[str]
     outputs: Sequence[Path]
+    after: Sequence[str]
     run: Callable[[], None]
 
     @property
@@ -60,11 +62,16 @@ class StageBook:
                 _say(f"{label}: done before")
                 continue
             _say(f"{label} …")
+            self._forget([later for later in stages if stage.name in later.after])
             started = time.perf_counter()
             stage.run()
             seconds = time.perf_counter() - started
             self._write(stage, seconds)
             _say(f"{label}: {seconds:.1f} s")
+
+    def _forget(self, stages: Sequence[Stage]) -> None:
+        for stage in stages:
+            self._file(stage).unlink(missing_ok=True)
 
     def _write(self, stage: Stage, seconds: float) -> None:
         file = self._file(stage)

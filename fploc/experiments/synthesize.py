@@ -109,7 +109,7 @@ def synthesize(
         artifacts_folder(runs),
         key,
         data_hash=data_hash(origin, origin),
-        command=reproduce_command(preset.name),
+        command=reproduce_command(preset.name, source),
     )
     generator = artifact.networks["generator"]
     assert isinstance(generator, Generator)

@@ -8,7 +8,7 @@ source's recordings, so that of the target only plan and access points are used.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -38,6 +38,9 @@ from fploc.virtual.dropout import Dropout
 from fploc.virtual.site import VirtualSite
 
 GRADIENT_LIMIT = 1.0
+
+Loggers = Callable[[str], Logger | None]
+"""From the name of a network to where its training logs, or None for nowhere."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +104,7 @@ def fit_dropout(recordings: list[Recording], site: Site, labels: str) -> Dropout
 
 
 def train_generator(
-    preset: Preset, measured: MeasuredDataModule, seed: int, *, logger: Logger | None, folder: Path
+    preset: Preset, measured: MeasuredDataModule, seed: int, *, loggers: Loggers, folder: Path
 ) -> tuple[Generator, dict[str, float]]:
     """Train the generator on the source's recordings."""
     pl.seed_everything(seed, verbose=False)
@@ -109,10 +112,10 @@ def train_generator(
     task = GeneratorTask(network, learning_rate=preset.learning_rates["generator"])
     metrics = fit(
         task,
-        measured.train_dataloader(),
+        measured.streams(seed),
         measured.val_dataloader(),
         epochs=preset.epochs["generator"],
-        logger=logger,
+        logger=loggers("generator"),
         folder=folder,
     )
     return network, metrics
@@ -150,7 +153,7 @@ def train_chain(
     seed: int,
     *,
     start: Trained | None,
-    logger: Logger | None,
+    loggers: Loggers,
     folder: Path,
 ) -> Trained:
     """Train GNN and FPDNN on measured and virtual intervals.
@@ -161,18 +164,23 @@ def train_chain(
         synthetic: A virtual site: the source's at first, a target's where ``start`` is given.
         seed: Of initialisation, jitter and turns.
         start: Networks to go on from; None for new ones.
-        logger: Where metrics go; None for nowhere.
+        loggers: Where the metrics of each network go.
         folder: Lightning's working folder.
     """
     pl.seed_everything(seed, verbose=False)
-    streams = measured.train_dataloader() | synthetic.train_dataloader()
+    streams = measured.streams(seed) | synthetic.train_dataloader()
     validation = measured.val_dataloader()
     specs = preset.network_specs
     suffix = "" if start is None else "_adapted"
     gnn = instantiate(GNN, specs["gnn"]) if start is None else copy.deepcopy(start.gnn).train()
     gnn_task = GNNTask(gnn, learning_rate=preset.learning_rates["gnn"])
     gnn_metrics = fit(
-        gnn_task, streams, validation, epochs=preset.epochs[f"gnn{suffix}"], logger=logger, folder=folder
+        gnn_task,
+        streams,
+        validation,
+        epochs=preset.epochs[f"gnn{suffix}"],
+        logger=loggers("gnn"),
+        folder=folder,
     )
     variance_m2 = gnn_metrics["val/loss"] / 2.0
     fpdnn = instantiate(FPDNN, specs["fpdnn"]) if start is None else copy.deepcopy(start.fpdnn).train()
@@ -186,7 +194,7 @@ def train_chain(
         streams,
         validation,
         epochs=preset.epochs[f"fpdnn{suffix}"],
-        logger=logger,
+        logger=loggers("fpdnn"),
         folder=folder,
     )
     return Trained(gnn, fpdnn, variance_m2, fpdnn_metrics["val/loss"] ** 0.5)

@@ -51,6 +51,11 @@ class CropSettings:
     max_length_px: int
     patch_length_px: int
 
+    @property
+    def largest_px(self) -> int:
+        """Pixels of the longest crop."""
+        return round(self.width_m * self.pixels_per_metre) * self.max_length_px
+
     def softened(self, plan: PlanRaster) -> PlanRaster:
         """Return ``plan`` prepared for ``crop_softened``: done once where many batches see one plan."""
         ink = soften_for(plan.ink, plan.pixels_from_metres, self.pixels_per_metre)

@@ -15,6 +15,8 @@ from fploc.methods.one_shot import RangeSolver
 from fploc.models.fpdnn import FPDNN
 from fploc.sites.site import Site
 
+CROP_PIXELS_AT_ONCE = 8_000_000
+
 
 @dataclass(frozen=True)
 class ChainState:
@@ -69,6 +71,10 @@ class GNNFPDNN:
         _, found = self.coarse.step(state.access_points, intervals)
         tracks, smoothed = self.filter.step(state.coarse, intervals.t_s, intervals.present, found)
         return ChainState(state.access_points, tracks), self.refine(state.access_points, intervals, smoothed)
+
+    def rows_at_once(self, access_points: int) -> int:
+        """Return how many rows of ``access_points`` links have crops of 8 million pixels together, at least 1."""
+        return max(1, CROP_PIXELS_AT_ONCE // (self.crops.largest_px * access_points))
 
     @torch.no_grad()
     def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:

@@ -46,6 +46,9 @@ class Refining(Protocol):
     def filter(self) -> BatchedFilter:
         """Smooths the coarse positions."""
 
+    def rows_at_once(self, access_points: int) -> int:
+        """Return how many rows ``refine`` should be given: bounds memory, not results."""
+
     def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
         """Return the estimates of rows (B, …) from their smoothed coarse positions."""
 

@@ -8,7 +8,7 @@ import pytest
 
 from datamodules.measured import MeasuredDataModule
 from fploc.experiments import duration
-from fploc.experiments.duration import announce_duration, estimate_seconds, training_steps
+from fploc.experiments.duration import announce_duration, estimate_seconds, training_steps, virtual_draws
 from fploc.experiments.preset import Preset
 
 
@@ -33,15 +33,17 @@ def test_the_estimate_is_steps_times_the_time_of_one(
 ) -> None:
     ran = []
 
-    def two_seconds(loss: Any) -> float:
-        loss().backward()
-        ran.append(loss)
+    def two_seconds(step: Any) -> float:
+        step()
+        ran.append(step)
         return 2.0
 
     monkeypatch.setattr(duration, "_seconds", two_seconds)
     steps = training_steps(miniature, 1)
-    assert estimate_seconds(miniature, measured, 1) == 2.0 * sum(steps.values())
-    assert len(ran) == 2
+    draws = virtual_draws(miniature, 1)
+    assert draws == miniature.pool_batches * 2 * len(miniature.seeds)
+    assert estimate_seconds(miniature, measured, 1, "cpu") == 2.0 * (sum(steps.values()) + draws)
+    assert len(ran) == 3
 
 
 @pytest.mark.parametrize(

@@ -63,8 +63,9 @@ class Trained:
 
 def train(preset: Preset, root: Path, runs: Path) -> None:
     """Train everything that the preset trains, and score nothing."""
-    stages = [one for one in Reproduction(preset, WORLD, root, runs).stages() if one.name.startswith("train")]
-    StageBook(runs / "stages").run(stages)
+    stages = Reproduction(preset, WORLD, root, runs).stages()
+    wanted = [one for one in stages if one.name.startswith(("calibrate", "train"))]
+    StageBook(runs / "stages").run(wanted)
 
 
 @pytest.fixture(scope="module")
@@ -275,5 +276,6 @@ def test_networks_that_go_on_learning_learn_as_they_did_at_first(
     reproduction = Reproduction(miniature, WORLD, trained.root, tmp_path)
     reproduction.artifacts = trained.runs / "artifacts"
     monkeypatch.setattr(Artifact, "save", lambda *_: None)
+    reproduction._calibrate()
     reproduction._train("laboratory", "zero-shot", 0)
     assert modes == {"GNNTask": True, "FPDNNTask": True}

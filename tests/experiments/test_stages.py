@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -5,14 +6,14 @@ import pytest
 from fploc.experiments.stages import Stage, StageBook
 
 
-def stage(folder: Path, name: str, done: list[str], *inputs: str) -> Stage:
+def stage(folder: Path, name: str, done: list[str], *inputs: str, after: tuple[str, ...] = ()) -> Stage:
     output = folder / f"{name}.out"
 
     def run() -> None:
         done.append(name)
         output.write_text(name)
 
-    return Stage(name=name, inputs=inputs, outputs=(output,), run=run)
+    return Stage(name=name, inputs=inputs, outputs=(output,), after=after, run=run)
 
 
 def test_a_finished_stage_is_not_run_again(tmp_path: Path) -> None:
@@ -49,6 +50,30 @@ def test_an_interrupted_run_goes_on_where_it_was(tmp_path: Path) -> None:
     first = stage(tmp_path, "one", done, "a")
     book = StageBook(tmp_path / "book")
     with pytest.raises(KeyboardInterrupt):
-        book.run([first, Stage(name="two", inputs=("b",), outputs=(), run=interrupted)])
+        book.run([first, Stage(name="two", inputs=("b",), outputs=(), after=(), run=interrupted)])
     book.run([first, stage(tmp_path, "two", done, "b")])
     assert done == ["one", "two"]
+
+
+def test_what_takes_a_result_is_done_anew_with_it_even_after_an_interruption(tmp_path: Path) -> None:
+    done: list[str] = []
+
+    def stages() -> list[Stage]:
+        return [
+            stage(tmp_path, "train", done, "a"),
+            stage(tmp_path, "score", done, "a", after=("train",)),
+            stage(tmp_path, "report", done, "a", after=("score",)),
+        ]
+
+    book = StageBook(tmp_path / "book")
+    book.run(stages())
+    (tmp_path / "train.out").unlink()
+
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    train, score, report = stages()
+    with pytest.raises(KeyboardInterrupt):
+        book.run([train, replace(score, run=interrupted), report])
+    book.run(stages())
+    assert done == ["train", "score", "report", "train", "score", "report"]
