@@ -1,3 +1,4 @@
+import errno
 from pathlib import Path
 
 import pytest
@@ -18,5 +19,5 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
     path.write_text("before")
     with pytest.raises(OSError, match="full"), whole(path) as part:
         part.write_text("half")
-        raise OSError("full")
+        raise OSError(errno.ENOSPC, "full")
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]

@@ -269,7 +269,7 @@ def test_an_interrupted_download_leaves_partial_files_that_resume(shelf: Shelf, 
         handler.end_headers()
         handler.wfile.write(contents[: whole // 2])
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        time.sleep(0.3)
+        time.sleep(2.0)
         handler.wfile.write(contents[whole // 2 :])
 
     shelf.faults["a.csv"] = [interrupting]
