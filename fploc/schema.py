@@ -75,6 +75,11 @@ _RECORDING = Column("recording", "str", "", "name of the lap's file, for example
 _INTERVAL = Column("interval", "int32", "1", "index of the reading set in its recording", minimum=0)
 _TIME = Column("t_ms", "float64", "ms", "time since the start of the recording", minimum=0)
 
+_RANGE_STD = Column(
+    "range_std_m", "float64", "m", "the phone's own spread of the burst", nullable=True, minimum=0
+)
+_RSS = Column("rss_dbm", "float64", "dBm", "received signal strength", nullable=True, minimum=-120, maximum=0)
+
 
 def _imu(name: str, unit: str, meaning: str) -> Column:
     return Column(name, "float64", unit, meaning, nullable=True)
@@ -107,12 +112,8 @@ READINGS = Table(
             minimum=0,
             maximum=100,
         ),
-        Column(
-            "range_std_m", "float64", "m", "the phone's own spread of the burst", nullable=True, minimum=0
-        ),
-        Column(
-            "rss_dbm", "float64", "dBm", "received signal strength", nullable=True, minimum=-120, maximum=0
-        ),
+        _RANGE_STD,
+        _RSS,
         Column("is_far", "bool", "", "the range exceeds 60 m: kept, to be distrusted"),
     ),
     key=("device", "recording", "interval", "mac"),
@@ -161,12 +162,8 @@ DEVICE_LINKS = Table(
             minimum=0,
             maximum=100,
         ),
-        Column(
-            "range_std_m", "float64", "m", "the phone's own spread of the burst", nullable=True, minimum=0
-        ),
-        Column(
-            "rss_dbm", "float64", "dBm", "received signal strength", nullable=True, minimum=-120, maximum=0
-        ),
+        _RANGE_STD,
+        _RSS,
     ),
     key=("lap", "t_ms"),
 )
