@@ -35,6 +35,7 @@ class Record:
         ms_per_fix: Milliseconds per interval of the batch that was run.
         artifact: What was trained, as it names itself; None where nothing was.
         commit: Git revision of the code; None outside a checkout.
+        condition: What else differs from what the protocol says, for example ``without link``; else empty.
     """
 
     method: str
@@ -64,6 +65,7 @@ class Record:
     ms_per_fix: float
     artifact: str | None
     commit: str | None
+    condition: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return the record as plain JSON values."""
