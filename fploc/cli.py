@@ -188,7 +188,12 @@ def _evaluate_parser() -> ArgumentParser:
     parser.add_argument("--device", type=str, default="all", help="1, 2 or all.")
     parser.add_argument("--calibration", type=str | None, default=None, help="none, source-los, … or metres.")
     parser.add_argument("--labels", type=str, default="both", help="published, repaired or both.")
-    parser.add_argument("--plan", type=str, default="real", help="real, blank or the name of another site.")
+    parser.add_argument(
+        "--plan",
+        type=str,
+        default="real",
+        help="real, blank (nothing drawn), length (of crops, no image), none, or the name of another site.",
+    )
     parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")
     parser.add_argument("--thin", type=int, default=1, help="Keep every so many-th interval.")
     parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")

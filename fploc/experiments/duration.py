@@ -13,7 +13,7 @@ from datamodules.measured import MeasuredDataModule
 from fploc.conf import instantiate
 from fploc.datasets.samples import LabelledIntervals
 from fploc.experiments.preset import Preset
-from fploc.models.fpdnn import FPDNN
+from fploc.models.fpdnn import FPDNN, Sight
 from fploc.models.generator import Generator
 
 STREAMS = 2
@@ -80,9 +80,11 @@ def _fpdnn_loss(preset: Preset, batch: LabelledIntervals, device: str) -> Callab
     links = moved.links
     ends = moved.positions[links.device]
 
+    sight = torch.full_like(links.device, Sight.PLAN)
+
     def loss() -> torch.Tensor:
         crops = network.vision.crops.crop(moved.plan, links.access_points, ends)
-        distances: torch.Tensor = network(crops.images, crops.lengths_px, links.ranges, links.rss)
+        distances: torch.Tensor = network(crops.images, crops.lengths_px, links.ranges, links.rss, sight)
         return distances.sum()
 
     return loss

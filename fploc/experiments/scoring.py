@@ -23,12 +23,15 @@ from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.interface import Calibrated, Method
 from fploc.methods.one_shot import RangeSolver
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
+from fploc.models.fpdnn import Sight
 from fploc.solvers.linear import solve_linear
 from fploc.solvers.nonlinear import solve_nonlinear
 
 LEARNED_METHODS = ("gnn", "gnn-fpdnn")
 METHODS = (*GEOMETRIC_METHODS, *LEARNED_METHODS)
 DEFAULT_CALIBRATION = "source-los"
+PLANS = {"real": Sight.PLAN, "blank": Sight.PLAN, "length": Sight.LENGTH, "none": Sight.NOTHING}
+"""What FPDNN is given under each value of --plan that names no site."""
 SOLVERS: dict[str, RangeSolver] = {"lls": solve_linear, "nls": solve_nonlinear}
 
 
@@ -103,7 +106,9 @@ def ready_method(
     offsets = offsets_of(artifact) if calibration is None else source_offsets(request, data_root)
     plan = chosen_plan(request.plan, target, data_root)
     return ReadyMethod(
-        learned_method(artifact, plan, KalmanSettings.for_speed(request.speed_prior)),
+        learned_method(
+            artifact, plan, KalmanSettings.for_speed(request.speed_prior), PLANS.get(request.plan, Sight.PLAN)
+        ),
         offsets,
         artifact=str(key.folder(Path())),
     )
@@ -119,8 +124,17 @@ def check_method(name: str) -> None:
         raise UnknownNameError("--method", name, known=list(METHODS), way_out="choose one of these")
 
 
-def learned_method(artifact: Artifact, plan: FloorPlan, filter_settings: KalmanSettings) -> Method:
-    """Return the method that an artifact holds, on a plan, with settings of its filter on coarse positions."""
+def learned_method(
+    artifact: Artifact, plan: FloorPlan, filter_settings: KalmanSettings, sight: Sight = Sight.PLAN
+) -> Method:
+    """Return the method that an artifact holds.
+
+    Args:
+        artifact: The artifact.
+        plan: Plan to look at.
+        filter_settings: Of its filter on coarse positions.
+        sight: What it is given of the plan.
+    """
     if artifact.key.method == "gnn":
         gnn = artifact.networks["gnn"]
         return GNNMethod(gnn, float(artifact.constants["variance_m2"]))  # type: ignore[arg-type]
@@ -133,6 +147,7 @@ def learned_method(artifact: Artifact, plan: FloorPlan, filter_settings: KalmanS
         solver=SOLVERS[artifact.constants["solver"]],
         sigma_m=trained.sigma_m,
         filter_settings=filter_settings,
+        sight=sight,
     )
 
 
@@ -146,8 +161,9 @@ def chosen_plan(name: str, target: PackedSite, data_root: Path) -> FloorPlan:
     """Return the plan that a method is to see.
 
     Args:
-        name: ``real``, ``blank`` (nothing is drawn on it) or another packed site, whose plan is laid over
-            the target corner to corner.
+        name: ``real``; ``blank`` (nothing is drawn on it); ``length`` or ``none``, where nothing looks at
+            it, so that it is blank as well; or another packed site, whose plan is laid over the target
+            corner to corner.
         target: The target.
         data_root: Folder of packed sites.
 
@@ -157,7 +173,7 @@ def chosen_plan(name: str, target: PackedSite, data_root: Path) -> FloorPlan:
     check_plan(name, data_root)
     if name == "real":
         return target.plan
-    if name == "blank":
+    if name in PLANS:
         return target.plan.blank()
     return read_packed(data_root, name).plan.placed_as(target.plan)
 
@@ -168,11 +184,11 @@ def check_plan(name: str, data_root: Path) -> None:
     Raises:
         UnknownNameError: If it is none of those that ``chosen_plan`` knows.
     """
-    if name in ("real", "blank"):
+    if name in PLANS:
         return
     known = packed_sites(data_root)
     if name not in known:
-        raise UnknownNameError("--plan", name, known=["real", "blank", *known], way_out="choose one of these")
+        raise UnknownNameError("--plan", name, known=[*PLANS, *known], way_out="choose one of these")
 
 
 def answer(

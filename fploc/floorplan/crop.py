@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, pad
 
+from fploc.floorplan.augmentation import Distortions
 from fploc.floorplan.plan import FloorPlan
 
 # Directions of links shorter than this are noise; such a link is drawn as if it pointed along +x.
@@ -108,8 +109,12 @@ def crop_softened_links(
     pixels_per_metre: float,
     width_m: float = 4.0,
     length_px: int,
+    distortions: Distortions | None = None,
 ) -> Crops:
-    """Crop a plan that ``soften_for`` has prepared once; otherwise as ``crop_links``."""
+    """Crop a plan that ``soften_for`` has prepared once; otherwise as ``crop_links``.
+
+    ``distortions`` of the links, if any, change what their crops show, not how long these are.
+    """
     device, dtype = softened.device, softened.dtype
     matrix = pixels_from_metres.to(device, dtype)
     starts, ends = starts.to(device, dtype), ends.to(device, dtype)
@@ -121,6 +126,8 @@ def crop_softened_links(
     forward = torch.where(distance > _SHORTEST_M, along / distance.clamp_min(_SHORTEST_M), level)
     left = torch.stack([-forward[:, 1], forward[:, 0]], dim=1)
     lengths = (distance[:, 0] * pixels_per_metre).round().long().clamp(1, length_px)
+    if distortions is not None:
+        starts, forward, left = distortions.moved(starts, forward, left)
 
     columns = torch.arange(length_px, device=device)
     belongs = columns < lengths[:, None]
@@ -144,8 +151,11 @@ def crop_softened_links(
         padding_mode="zeros",
         align_corners=False,
     )
+    drawn = sampled[0, 0]
+    if distortions is not None:
+        drawn = (drawn * distortions.line_weight[link, None]).clamp(max=1.0)
     images = torch.zeros(len(starts), height, length_px, device=device, dtype=dtype)
-    images.transpose(1, 2)[link, column] = sampled[0, 0]
+    images.transpose(1, 2)[link, column] = drawn
     return Crops(images=images[:, None], lengths_px=lengths)
 
 

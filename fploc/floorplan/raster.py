@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from fploc.floorplan.augmentation import Distortions
 from fploc.floorplan.crop import Crops, crop_softened_links, ink_of, soften_for
 from fploc.floorplan.plan import FloorPlan
 
@@ -61,11 +62,15 @@ class CropSettings:
         ink = soften_for(plan.ink, plan.pixels_from_metres, self.pixels_per_metre)
         return PlanRaster(ink, plan.pixels_from_metres)
 
-    def crop(self, plan: PlanRaster, starts: Tensor, ends: Tensor) -> Crops:
+    def crop(
+        self, plan: PlanRaster, starts: Tensor, ends: Tensor, distortions: Distortions | None = None
+    ) -> Crops:
         """Crop links from ``starts`` to ``ends``, (L, 2) metres, padded to the longest of the batch."""
-        return self.crop_softened(self.softened(plan), starts, ends)
+        return self.crop_softened(self.softened(plan), starts, ends, distortions)
 
-    def crop_softened(self, plan: PlanRaster, starts: Tensor, ends: Tensor) -> Crops:
+    def crop_softened(
+        self, plan: PlanRaster, starts: Tensor, ends: Tensor, distortions: Distortions | None = None
+    ) -> Crops:
         """Crop links of a plan that ``softened`` has prepared."""
         longest_m = float((ends - starts).norm(dim=-1).max()) if len(starts) else 0.0
         patches = math.ceil((longest_m * self.pixels_per_metre + 1) / self.patch_length_px)
@@ -77,4 +82,5 @@ class CropSettings:
             pixels_per_metre=self.pixels_per_metre,
             width_m=self.width_m,
             length_px=min(patches * self.patch_length_px, self.max_length_px),
+            distortions=distortions,
         )

@@ -9,6 +9,7 @@ from torch_geometric.data import Data
 from fploc.intervals import Intervals
 
 EDGE_FEATURES = ("range_m", "rss_dbm", "is_device_link")
+BETWEEN_DEVICES = -1
 
 
 def radio_graph(intervals: Intervals, access_points: Tensor, first_estimates: Tensor) -> Data:
@@ -17,7 +18,8 @@ def radio_graph(intervals: Intervals, access_points: Tensor, first_estimates: Te
     Paper: Yu et al., section "Graph Representation". The first B nodes are the devices, the next A the
     access points. An edge runs from every access point to each device that heard it, and between devices
     from the sender to the receiver of each link in ``intervals.links``. Changed: the index n of the
-    neighbour is no feature (the graph must not depend on the order of access points).
+    neighbour is no edge feature (the graph must not depend on the order of access points); it stands
+    apart, for the network that asks for it.
 
     Args:
         intervals: One interval of each device.
@@ -26,7 +28,8 @@ def radio_graph(intervals: Intervals, access_points: Tensor, first_estimates: Te
 
     Returns:
         ``pos`` (B + A, 2) metres, site frame; ``devices`` = B; ``edge_index`` (2, E), neighbour to device;
-        ``edge_attr`` (E, 3) as in ``EDGE_FEATURES``.
+        ``edge_attr`` (E, 3) as in ``EDGE_FEATURES``; ``access_point`` (E,) int64, n of each edge's access
+        point in the order of ``access_points``, −1 between devices.
     """
     devices = len(first_estimates)
     device, access_point = torch.nonzero(intervals.heard, as_tuple=True)
@@ -46,11 +49,13 @@ def radio_graph(intervals: Intervals, access_points: Tensor, first_estimates: Te
         ranges = intervals.links.ranges
         between = torch.stack([ranges, intervals.links.rss, torch.ones_like(ranges)], dim=-1)
         attributes = torch.cat([attributes, between])
+        access_point = torch.cat([access_point, torch.full_like(sender, BETWEEN_DEVICES)])
     return Data(
         pos=torch.cat([first_estimates, access_points]),
         devices=devices,
         edge_index=torch.stack([sources, targets]),
         edge_attr=attributes.to(first_estimates.dtype),
+        access_point=access_point,
     )
 
 

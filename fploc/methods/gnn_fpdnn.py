@@ -12,7 +12,7 @@ from fploc.floorplan.raster import CropSettings, PlanRaster
 from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals, links_of
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.one_shot import RangeSolver
-from fploc.models.fpdnn import FPDNN
+from fploc.models.fpdnn import FPDNN, Sight
 from fploc.sites.site import Site
 
 CROP_PIXELS_AT_ONCE = 8_000_000
@@ -40,6 +40,7 @@ class GNNFPDNN:
         solver: From corrected ranges to a position; the paper's is linear.
         sigma_m: Standard deviation of a corrected range, metres, from the validation recordings.
         filter_settings: Of the filter on coarse positions.
+        sight: What FPDNN is given of the plan.
     """
 
     name = "gnn-fpdnn"
@@ -53,6 +54,7 @@ class GNNFPDNN:
         solver: RangeSolver,
         sigma_m: float,
         filter_settings: KalmanSettings,
+        sight: Sight = Sight.PLAN,
     ) -> None:
         self.coarse = coarse
         self.network = network
@@ -61,6 +63,7 @@ class GNNFPDNN:
         self.solver = solver
         self.sigma_m = sigma_m
         self.filter = BatchedFilter(filter_settings)
+        self.sight = sight
 
     def init(self, site: Site, devices: int) -> ChainState:
         """Return the state of ``devices`` devices before their first interval."""
@@ -97,6 +100,7 @@ class GNNFPDNN:
             return corrected
         crops = self.crops.crop_softened(self.plan, starts, coarse.positions[device].float())
         ranges, rss = links.ranges[seen].float(), links.rss[seen].float()
-        estimated = self.network(crops.images, crops.lengths_px, ranges, rss)
+        sight = torch.full_like(device, self.sight)
+        estimated = self.network(crops.images, crops.lengths_px, ranges, rss, sight)
         chosen = intervals.heard & coarse.fixed[:, None]
         return corrected.masked_scatter(chosen, estimated.double())

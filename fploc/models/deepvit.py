@@ -139,6 +139,7 @@ class DeepViT(nn.Module):
         self.crop_height_px = crop_height_px
         self.max_length_px = max_length_px
         self.patch_px = patch_px
+        self.features = features
         self.rows = crop_height_px // patch_px[0]
         self.columns = max_length_px // patch_px[1]
         if (self.rows * patch_px[0], self.columns * patch_px[1]) != (crop_height_px, max_length_px):

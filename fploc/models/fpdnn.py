@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
+
 import torch
 from torch import Tensor, nn
 
+from fploc.errors import UnknownNameError
 from fploc.models.deepvit import DeepViT
 
 RANGE_SCALE_M = 10.0
 RSS_CENTRE_DBM = -65.0
 RSS_SCALE_DB = 10.0
+LENGTH_HIDDEN = 16
+
+
+class Sight(IntEnum):
+    """What FPDNN is given of the plan: the crop, its length W alone, or nothing of it."""
+
+    PLAN = 0
+    LENGTH = 1
+    NOTHING = 2
 
 
 def normalised_measurement(ranges: Tensor, rss: Tensor) -> Tensor:
@@ -48,14 +60,31 @@ def ffnn(inputs: int, hidden: int, outputs: int, drop: float) -> nn.Sequential:
 class DistanceHead(nn.Module):
     """FFNN2 as published: the bare distance.
 
-    Table II cannot be built to the letter: its norm maps 32 to 16 (here: norm, then a layer 32 → 16 is
-    left out), and its final ReLU kills gradients (here: softplus).
+    Table II cannot be built to the letter: its norm maps 32 to 16, which no norm does (here: a norm over
+    32). Its final ReLU gives no gradient where it puts out 0; softplus is as positive and always has one.
+
+    Args:
+        features: Width of the concatenated features.
+        hidden: Hidden width.
+        output: Last layer: ``softplus``, ``relu`` (published) or ``none``, which may put out less than 0.
+
+    Raises:
+        UnknownNameError: If there is no such last layer.
     """
 
-    def __init__(self, features: int, hidden: int = 32) -> None:
+    def __init__(self, features: int, hidden: int = 32, output: str = "softplus") -> None:
         super().__init__()
+        outputs = {"softplus": nn.Softplus, "relu": nn.ReLU, "none": nn.Identity}
+        if output not in outputs:
+            raise UnknownNameError(
+                "output of DistanceHead", output, known=list(outputs), way_out="correct `output`"
+            )
         self.layers = nn.Sequential(
-            nn.Linear(features, hidden), nn.ReLU(), nn.LayerNorm(hidden), nn.Linear(hidden, 1), nn.Softplus()
+            nn.Linear(features, hidden),
+            nn.ReLU(),
+            nn.LayerNorm(hidden),
+            nn.Linear(hidden, 1),
+            outputs[output](),
         )
 
     def forward(self, features: Tensor, ranges: Tensor) -> Tensor:
@@ -82,7 +111,10 @@ class FPDNN(nn.Module):
     """Floor-plan-aided network: DeepViT on the crop, FFNN1 on (ζ, γ), FFNN2 to the distance.
 
     Paper: Yu et al., section "Structure of FPDNN", eqs. "FFNN" and "outFPDNN", Table II. Changed: ζ and γ
-    are normalised, the index of the access point is dropped.
+    are normalised; the index of the access point is dropped, which means nothing at another site; links
+    need not look at the plan. One set of weights runs with the crop, with its length alone and with
+    neither: where a link does not see its crop, a small FFNN of the length or a learned vector stand in for
+    DeepViT's features. Trained on all three (``FPDNNTask``), it shows what the plan is worth.
 
     Args:
         vision: The network on crops.
@@ -91,19 +123,38 @@ class FPDNN(nn.Module):
         drop: Dropout rate of FFNN1.
 
     Shapes:
-        - **input:** images (B, 1, H, W), lengths_px (B,), ranges ζ (B,) metres, rss γ (B,) dBm
+        - **input:** images (B, 1, H, W), lengths_px (B,), ranges ζ (B,) metres, rss γ (B,) dBm,
+          sight (B,) int64, one ``Sight`` per link
         - **output:** distances (B,) metres, in the plan
     """
 
     def __init__(self, vision: DeepViT, head: nn.Module, drop: float = 0.2) -> None:
         super().__init__()
         self.vision = vision
+        self.length_ffnn = ffnn(1, LENGTH_HIDDEN, vision.features, drop=0.0)
+        self.nothing = nn.Parameter(torch.zeros(vision.features))
         self.ffnn1 = ffnn(2, 64, 32, drop)
         self.head = head
 
-    def forward(self, images: Tensor, lengths_px: Tensor, ranges: Tensor, rss: Tensor) -> Tensor:
+    def forward(
+        self, images: Tensor, lengths_px: Tensor, ranges: Tensor, rss: Tensor, sight: Tensor
+    ) -> Tensor:
         """Return the distances of links; see the class for shapes."""
-        seen = self.vision(images, lengths_px)
+        seen = self.seen(images, lengths_px, sight)
         measured = self.ffnn1(normalised_measurement(ranges, rss))
         distances: Tensor = self.head(torch.cat([seen, measured], dim=-1), ranges)
         return distances
+
+    def seen(self, images: Tensor, lengths_px: Tensor, sight: Tensor) -> Tensor:
+        """Return what links know of the plan, shape (B, ``vision.features``); arguments as ``forward``.
+
+        DeepViT runs on the links that look at the plan, and on no other.
+        """
+        lengths_m = lengths_px / self.vision.crops.pixels_per_metre
+        by_length = self.length_ffnn(lengths_m[:, None] / RANGE_SCALE_M - 1.0)
+        features = torch.where((sight == Sight.LENGTH)[:, None], by_length, self.nothing)
+        (looking,) = torch.nonzero(sight == Sight.PLAN, as_tuple=True)
+        if len(looking) == 0:
+            return features
+        plan = self.vision(images[looking], lengths_px[looking]).to(features.dtype)
+        return features.index_copy(0, looking, plan)

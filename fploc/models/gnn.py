@@ -35,23 +35,31 @@ class GNN(MessagePassing):
     an edge also as what its RSS falls short of free space), the device's own features are its number of
     neighbours, mean and RMS residual and its displacement so far, and the update adds to the position
     instead of replacing it, without the final ReLU that could give no negative coordinate. So the result
-    moves with the frame and does not depend on the order of access points or devices.
+    moves with the frame and does not depend on the order of access points or devices. The published edge
+    feature also holds the neighbour's index n. ``index_width`` brings it back for comparison: then a network
+    can learn each access point's own faults, the result depends on the order in which access points are
+    listed, and at another site, where the numbers stand for others, what was learned misleads.
 
     Args:
         hidden: Hidden width of φ and of the update.
         message_width: Width of a message.
         layers: L_g.
+        index_width: Places of n as a one-hot feature of edges; indices beyond it and links between devices
+            have none set. 0 leaves n out.
 
     Shapes:
         - **input:** a graph as made by ``fploc.graphs.radio_graph``
         - **output:** positions of its devices (M, 2), metres, site frame
     """
 
-    def __init__(self, hidden: int, message_width: int, layers: int) -> None:
+    def __init__(self, hidden: int, message_width: int, layers: int, index_width: int = 0) -> None:
         super().__init__(aggr="mean")
         self.layers = layers
+        self.index_width = index_width
         self.message_ffnn = nn.Sequential(
-            nn.Linear(NODE_FEATURES + EDGE_INPUTS, hidden), nn.ReLU(), nn.Linear(hidden, message_width)
+            nn.Linear(NODE_FEATURES + EDGE_INPUTS + index_width, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, message_width),
         )
         self.update_ffnn = nn.Sequential(
             nn.Linear(DEVICE_FEATURES + message_width, hidden), nn.ReLU(), zero_linear(hidden, 2)
@@ -61,7 +69,8 @@ class GNN(MessagePassing):
         """Return the coarse positions of the devices of ``graph``; see the class for shapes."""
         devices = int(graph.devices)
         first, access_points = graph.pos[:devices], graph.pos[devices:]
-        edges = self.edge_inputs(graph.edge_attr)
+        indices = self.indices(graph.access_point).to(graph.edge_attr)
+        edges = torch.cat([self.edge_inputs(graph.edge_attr), indices], dim=-1)
         positions = first
         for _ in range(self.layers):
             nodes = torch.cat([positions, access_points])
@@ -87,12 +96,16 @@ class GNN(MessagePassing):
             [
                 residual_vectors / RANGE_SCALE_M,
                 torch.stack([distances, residuals], dim=-1) / RANGE_SCALE_M,
-                edges[:, -1:],
+                edges[:, EDGE_INPUTS - 1 : EDGE_INPUTS],
             ],
             dim=-1,
         )
         messages: Tensor = self.message_ffnn(torch.cat([neighbour, edges], dim=-1))
         return messages
+
+    def indices(self, access_point: Tensor) -> Tensor:
+        """Return n of every edge as a one-hot feature, shape (E, ``index_width``), bool."""
+        return access_point[:, None] == torch.arange(self.index_width, device=access_point.device)
 
     @staticmethod
     def residuals(nodes: Tensor, edge_index: Tensor, ranges: Tensor) -> Tensor:

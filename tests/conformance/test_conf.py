@@ -18,7 +18,7 @@ from fploc.graphs.radio_graph import radio_graph
 from fploc.intervals import Intervals
 from fploc.methods.registry import geometric_method
 from fploc.models.deepvit import CROP_WIDTH_M, DeepViT
-from fploc.models.fpdnn import FPDNN
+from fploc.models.fpdnn import FPDNN, Sight
 from fploc.models.generator import Generator
 from fploc.models.gnn import GNN
 from fploc.sites.registry import known_sites
@@ -61,7 +61,8 @@ def test_every_model_runs_on_input_of_its_own_size(name: str) -> None:
     match network:
         case FPDNN():
             images, lengths_px = check_crops(network.vision)
-            distances = network(images, lengths_px, torch.tensor([2.0]), torch.tensor([-50.0]))
+            sight = torch.tensor([Sight.PLAN])
+            distances = network(images, lengths_px, torch.tensor([2.0]), torch.tensor([-50.0]), sight)
             assert distances.shape == (1,) and float(distances) >= 0
         case Generator():
             images, lengths_px = check_crops(network.vision)

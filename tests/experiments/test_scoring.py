@@ -142,7 +142,7 @@ def test_speed_prior_acts_on_the_filter_alone(evaluate: Any) -> None:
         assert (before["rmse_m"] == after["rmse_m"]) == (before["filter"] == "none")
 
 
-@pytest.mark.parametrize("plan", ["blank", "office"])
+@pytest.mark.parametrize("plan", ["blank", "length", "none", "office"])
 def test_another_plan_changes_what_looks_at_plans(plan: str, evaluate: Any) -> None:
     real, other = evaluate("gnn-fpdnn", "--thin", "3"), evaluate("gnn-fpdnn", "--thin", "3", "--plan", plan)
     assert {one["plan"] for one in other} == {plan}

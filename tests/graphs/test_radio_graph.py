@@ -43,6 +43,14 @@ def test_a_device_link_is_an_edge_from_sender_to_receiver() -> None:
     assert edges(links) == HEARD | {(0, 1, 4.5, -51.0, 1.0)}
 
 
+def test_edges_know_the_index_of_their_access_point() -> None:
+    links = DeviceLinks(torch.tensor([[1], [0]]), torch.tensor([4.5]), torch.tensor([-51.0]))
+    graph = radio_graph(intervals(links), ACCESS_POINTS, FIRST)
+    assert graph.access_point.dtype == torch.int64
+    assert graph.access_point.tolist() == [0, 2, 1, 2, -1]
+    torch.testing.assert_close(graph.pos[graph.edge_index[0, :4]], ACCESS_POINTS[graph.access_point[:4]])
+
+
 def test_no_device_link_is_the_same_as_none() -> None:
     links = DeviceLinks(torch.zeros(2, 0, dtype=torch.int64), torch.zeros(0), torch.zeros(0))
     assert edges(links) == HEARD

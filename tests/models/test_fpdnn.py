@@ -5,13 +5,22 @@ import pytest
 import torch
 from torch import Tensor
 
+from fploc.errors import UnknownNameError
 from fploc.filters.kalman import KalmanSettings
 from fploc.floorplan.raster import PlanRaster
 from fploc.intervals import Intervals, NoFix
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.models.deepvit import DeepViT
-from fploc.models.fpdnn import FPDNN, CorrectionHead, DistanceHead, ffnn, normalised_measurement
+from fploc.models.fpdnn import (
+    FPDNN,
+    RANGE_SCALE_M,
+    CorrectionHead,
+    DistanceHead,
+    Sight,
+    ffnn,
+    normalised_measurement,
+)
 from fploc.models.gnn import GNN
 from fploc.sites.site import AccessPoint, Site
 from fploc.solvers.nonlinear import solve_nonlinear
@@ -27,17 +36,18 @@ def network(head: torch.nn.Module) -> FPDNN:
     return FPDNN(vision, head).eval()
 
 
-def links(number: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def links(number: int, sight: Sight = Sight.PLAN) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     random = torch.Generator().manual_seed(2)
     images = torch.rand(number, 1, 8, 40, generator=random)
     lengths_px = torch.randint(1, 41, (number,), generator=random)
-    return images, lengths_px, 30 * torch.rand(number, generator=random), torch.full((number,), -70.0)
+    ranges, rss = 30 * torch.rand(number, generator=random), torch.full((number,), -70.0)
+    return images, lengths_px, ranges, rss, torch.full((number,), int(sight))
 
 
 @torch.no_grad()
 def test_correction_starts_as_no_correction() -> None:
-    images, lengths_px, ranges, rss = links(9)
-    assert torch.equal(network(CorrectionHead(64))(images, lengths_px, ranges, rss), ranges)
+    images, lengths_px, ranges, rss, sight = links(9)
+    assert torch.equal(network(CorrectionHead(64))(images, lengths_px, ranges, rss, sight), ranges)
 
 
 @torch.no_grad()
@@ -66,6 +76,27 @@ def test_bare_distance_is_never_negative_and_keeps_its_gradient() -> None:
     assert features.grad.abs().sum(-1).min() > 0
 
 
+@pytest.mark.parametrize(
+    ("output", "expected"),
+    [("softplus", [0.0, 0.693147, 2.126928]), ("relu", [0, 0, 2]), ("none", [-30, 0, 2])],
+)
+@torch.no_grad()
+def test_last_layer_of_the_bare_distance_is_as_asked_for(output: str, expected: list[float]) -> None:
+    head = DistanceHead(1, hidden=1, output=output)
+    *_, last, _ = head.layers
+    last.weight.zero_()
+    found = []
+    for bias in (-30.0, 0.0, 2.0):
+        last.bias.fill_(bias)
+        found.append(float(head(torch.ones(1, 1), torch.zeros(1))) / RANGE_SCALE_M)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_an_unknown_last_layer_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match=r"softplus, relu, none; correct `output`"):
+        DistanceHead(16, output="tanh")
+
+
 @pytest.mark.parametrize("head", [CorrectionHead, DistanceHead])
 @torch.no_grad()
 def test_order_of_links_does_not_matter(head: type[torch.nn.Module]) -> None:
@@ -79,14 +110,73 @@ def test_order_of_links_does_not_matter(head: type[torch.nn.Module]) -> None:
 @torch.no_grad()
 def test_distance_depends_on_crop_range_and_signal_strength() -> None:
     fpdnn = network(DistanceHead(64))
-    images, lengths_px, ranges, rss = links(1)
-    distance = fpdnn(images, lengths_px, ranges, rss)
+    images, lengths_px, ranges, rss, sight = links(1)
+    distance = fpdnn(images, lengths_px, ranges, rss, sight)
     for changed in (
         (1 - images, lengths_px, ranges, rss),
         (images, lengths_px, ranges + 5, rss),
         (images, lengths_px, ranges, rss + 20),
     ):
-        assert not torch.allclose(fpdnn(*changed), distance)
+        assert not torch.allclose(fpdnn(*changed, sight), distance)
+
+
+@pytest.mark.parametrize(
+    ("sight", "by_image", "by_length"),
+    [(Sight.PLAN, True, True), (Sight.LENGTH, False, True), (Sight.NOTHING, False, False)],
+)
+@torch.no_grad()
+def test_distance_depends_on_what_a_link_is_given_of_the_plan(
+    sight: Sight, by_image: bool, by_length: bool
+) -> None:
+    fpdnn = network(DistanceHead(64))
+    images, _, *measured = links(1, sight)
+    at_20 = fpdnn(images, torch.tensor([20]), *measured)
+    assert torch.equal(fpdnn(1 - images, torch.tensor([20]), *measured), at_20) != by_image
+    assert torch.equal(fpdnn(images, torch.tensor([33]), *measured), at_20) != by_length
+
+
+@torch.no_grad()
+def test_length_is_seen_in_metres() -> None:
+    """40 m at a pixel per 0.5 m: one network on crops of other resolutions sees the same."""
+    seen: list[Tensor] = []
+    fpdnn = network(DistanceHead(64))
+    fpdnn.length_ffnn.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    images, _, *measured = links(2, Sight.LENGTH)
+    fpdnn(images, torch.tensor([20, 40]), *measured)
+    assert fpdnn.vision.crops.pixels_per_metre == 2.0
+    assert seen[0].tolist() == [[0.0], [1.0]]
+
+
+@torch.no_grad()
+def test_links_of_one_batch_may_see_differently_and_do_not_disturb_each_other() -> None:
+    fpdnn = network(DistanceHead(64))
+    images, lengths_px, ranges, rss, _ = links(7)
+    sight = torch.tensor([0, 1, 2, 0, 2, 1, 0])
+    together = fpdnn(images, lengths_px, ranges, rss, sight)
+    for kind in Sight:
+        one = sight == kind
+        alone = fpdnn(images[one], lengths_px[one], ranges[one], rss[one], sight[one])
+        torch.testing.assert_close(together[one], alone)
+
+
+@torch.no_grad()
+def test_deepvit_runs_on_links_that_look_and_no_other() -> None:
+    fpdnn = network(DistanceHead(64))
+    sizes: list[int] = []
+    fpdnn.vision.register_forward_pre_hook(lambda _, inputs: sizes.append(len(inputs[0])))
+    images, lengths_px, ranges, rss, _ = links(5)
+    fpdnn(images, lengths_px, ranges, rss, torch.tensor([1, 0, 2, 0, 0]))
+    fpdnn(images, lengths_px, ranges, rss, torch.full((5,), int(Sight.NOTHING)))
+    assert sizes == [3]
+
+
+def test_gradients_reach_every_parameter_from_all_three_sights() -> None:
+    fpdnn = network(DistanceHead(64)).train()
+    images, lengths_px, ranges, rss, _ = links(6)
+    fpdnn(images, lengths_px, ranges, rss, torch.tensor([0, 1, 2] * 2)).sum().backward()
+    for name, parameter in fpdnn.named_parameters():
+        assert parameter.grad is not None and torch.isfinite(parameter.grad).all(), name
+    assert fpdnn.nothing.grad.abs().max() > 0 and fpdnn.length_ffnn[0].weight.grad.abs().max() > 0
 
 
 def test_measurement_is_centred_and_scaled() -> None:
@@ -101,7 +191,7 @@ def test_ffnn1_has_the_published_layers() -> None:
     assert (first.in_features, first.out_features, second.out_features) == (2, 64, 32)
 
 
-def chain(head: torch.nn.Module) -> GNNFPDNN:
+def chain(head: torch.nn.Module, sight: Sight = Sight.PLAN) -> GNNFPDNN:
     fpdnn = network(head)
     plan = PlanRaster(
         ink=torch.zeros(120, 140), pixels_from_metres=torch.tensor([[10.0, 0, 5], [0, -10.0, 110]])
@@ -114,6 +204,7 @@ def chain(head: torch.nn.Module) -> GNNFPDNN:
         solve_nonlinear,
         sigma_m=0.5,
         filter_settings=KalmanSettings(),
+        sight=sight,
     )
 
 
@@ -161,6 +252,17 @@ def test_chain_corrects_heard_ranges_of_devices_with_a_coarse_position_only() ->
     expected = intervals.ranges.double()
     expected[0] -= 0.5 * heard[0]
     np.testing.assert_allclose(corrected, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("sight", Sight)
+@torch.no_grad()
+def test_chain_gives_fpdnn_what_it_is_asked_to_see(sight: Sight) -> None:
+    method = chain(DistanceHead(64), sight)
+    seen: list[Tensor] = []
+    method.network.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[-1]))
+    truth = torch.tensor([[3.0, 4.0], [6.0, 2.0]])
+    method.step(method.init(site(), 2), noise_free(truth, torch.ones(2, 4, dtype=torch.bool)))
+    assert [one.tolist() for one in seen] == [[sight] * 8]
 
 
 def test_chain_without_any_reading_finds_nothing() -> None:

@@ -18,10 +18,10 @@ from fploc.sites.site import AccessPoint, Site
 A, B = 6, 4
 
 
-def network(layers: int = 3) -> GNN:
+def network(layers: int = 3, index_width: int = 0) -> GNN:
     """Random weights in double precision, the last layer included: an untrained GNN moves nothing."""
     torch.manual_seed(0)
-    made = GNN(hidden=16, message_width=5, layers=layers).double().eval()
+    made = GNN(hidden=16, message_width=5, layers=layers, index_width=index_width).double().eval()
     torch.nn.init.normal_(made.update_ffnn[-1].weight, std=0.3)
     torch.nn.init.normal_(made.update_ffnn[-1].bias, std=0.1)
     return made
@@ -130,6 +130,21 @@ def test_positions_move_with_the_frame(seed: int, x_m: float, y_m: float) -> Non
         rtol=0.0,
         atol=1e-6,
     )
+
+
+def test_with_the_index_the_order_of_access_points_matters() -> None:
+    """The published feature n: what the default leaves out."""
+    intervals, access_points, _ = scene(2)
+    turned = torch.tensor([1, 2, 3, 4, 5, 0])
+    gnn = network(index_width=A)
+    listed_otherwise = located(gnn, columns_of(intervals, turned), access_points[turned])
+    assert (listed_otherwise - located(gnn, intervals, access_points)).abs().max() > 0.1
+
+
+def test_indices_are_one_hot_and_none_beyond_their_places() -> None:
+    indices = network(index_width=3).indices(torch.tensor([2, 0, 5, -1]))
+    assert indices.tolist() == [[0, 0, 1], [1, 0, 0], [0, 0, 0], [0, 0, 0]]
+    assert network().indices(torch.tensor([2, 0])).shape == (2, 0)
 
 
 def test_a_device_link_tells_the_receiver_of_the_sender() -> None:

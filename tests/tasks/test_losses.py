@@ -12,11 +12,13 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from fploc.datasets.samples import LabelledIntervals
+from fploc.errors import FplocError
+from fploc.floorplan.augmentation import CropAugmentation, Distortions
 from fploc.floorplan.crop import Crops
 from fploc.floorplan.raster import CropSettings, PlanRaster
 from fploc.graphs.first_estimates import first_estimates
 from fploc.models.deepvit import DeepViT
-from fploc.models.fpdnn import FPDNN, CorrectionHead
+from fploc.models.fpdnn import FPDNN, CorrectionHead, Sight
 from fploc.models.generator import Generator
 from fploc.models.gnn import GNN
 from fploc.tasks.fpdnn import FPDNNTask
@@ -33,9 +35,9 @@ def vision() -> DeepViT:
     )
 
 
-def fpdnn_task(jitter_m: float) -> FPDNNTask:
+def fpdnn_task(jitter_m: float, sight_shares: tuple[float, float, float] = (0.8, 0.1, 0.1)) -> FPDNNTask:
     network = FPDNN(vision(), CorrectionHead(64))
-    return FPDNNTask(network, jitter_m=jitter_m)
+    return FPDNNTask(network, jitter_m=jitter_m, sight_shares=sight_shares)
 
 
 def validated(task: pl.LightningModule, *batches: LabelledIntervals) -> dict[str, float]:
@@ -128,9 +130,11 @@ def test_crops_are_taken_from_one_jittered_position_for_each_device(
     taken: list[Tensor] = []
     original = CropSettings.crop
 
-    def spy(self: CropSettings, plan: PlanRaster, starts: Tensor, ends: Tensor) -> Crops:
+    def spy(
+        self: CropSettings, plan: PlanRaster, starts: Tensor, ends: Tensor, distortions: Distortions
+    ) -> Crops:
         taken.append(ends)
-        return original(self, plan, starts, ends)
+        return original(self, plan, starts, ends, distortions)
 
     monkeypatch.setattr(CropSettings, "crop", spy)
     torch.manual_seed(0)
@@ -142,6 +146,50 @@ def test_crops_are_taken_from_one_jittered_position_for_each_device(
     torch.testing.assert_close(offsets, first[device], rtol=0.0, atol=1e-5)
     assert float(first.std()) == pytest.approx(jitter_m, rel=0.1)
     assert float(first.mean(0).abs().max()) <= 0.15 * jitter_m + 1e-5
+
+
+def test_sight_is_drawn_in_its_shares_in_training_only(
+    make_batch: Callable[..., LabelledIntervals],
+) -> None:
+    batch = make_batch(1, devices=1000)
+    task = fpdnn_task(1.0, sight_shares=(0.5, 0.2, 0.3))
+    seen: list[Tensor] = []
+    task.network.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[-1]))
+    torch.manual_seed(0)
+    task.training_step({"measured": batch}, 0)
+    task.validation_step(batch, 0)
+    training, validation = seen
+    shares = torch.bincount(training, minlength=3) / len(training)
+    np.testing.assert_allclose(shares, (0.5, 0.2, 0.3), atol=0.03)
+    assert set(validation.tolist()) == {Sight.PLAN}
+
+
+@pytest.mark.parametrize("shares", [(0.5, 0.2, 0.2), (1.2, -0.1, -0.1)])
+def test_shares_that_are_none_are_refused(shares: tuple[float, float, float]) -> None:
+    with pytest.raises(FplocError, match="three shares that sum to 1"):
+        fpdnn_task(1.0, sight_shares=shares)
+
+
+def test_crops_are_distorted_in_training_only(
+    make_batch: Callable[..., LabelledIntervals], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[Distortions | None] = []
+    original = CropSettings.crop
+
+    def spy(
+        self: CropSettings, plan: PlanRaster, starts: Tensor, ends: Tensor, distortions: Distortions | None
+    ) -> Crops:
+        taken.append(distortions)
+        return original(self, plan, starts, ends, distortions)
+
+    monkeypatch.setattr(CropSettings, "crop", spy)
+    batch = make_batch(1)
+    task = FPDNNTask(FPDNN(vision(), CorrectionHead(64)), augmentation=CropAugmentation(along_m=0.7))
+    task.training_step({"measured": batch}, 0)
+    task.validation_step(batch, 0)
+    drawn, none = taken
+    assert none is None and drawn is not None
+    assert len(drawn.along) == len(batch.links.ranges) and 0.3 < float(drawn.along.abs().max()) <= 0.7
 
 
 def test_generator_loss_is_the_negative_log_likelihood(make_batch: Callable[..., LabelledIntervals]) -> None:
