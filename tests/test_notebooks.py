@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import nbformat
-import numpy as np
 import pytest
 from nbclient import NotebookClient
 
 from fploc.datasets.build import build_sites
 from fploc.datasets.packed import read_packed
 from fploc.errors import MissingFileError
+from fploc.evaluation.error_series import error_series, write_error_series
 from fploc.evaluation.evaluate import EvaluationRequest, records_of, source_offsets, tracks_of
-from fploc.evaluation.metrics import held_errors_m
-from fploc.evaluation.report import Scoring, TrackedRecord, comparison_rows, markdown
+from fploc.evaluation.records import TrackedRecord, write_records
+from fploc.evaluation.report import Scoring, comparison_rows
+from fploc.evaluation.tables import markdown
 from fploc.experiments.scoring import data_hash
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
 from fploc.sites.made_up import made_up_site
@@ -51,19 +51,9 @@ def write_runs(runs: Path, data_root: Path) -> list[TrackedRecord]:
             TrackedRecord(record, run_id=f"run-{method}", data_hash=data_hash(*packed), made_up=True)
             for record in records
         ]
-        errors = {
-            f"device{device}": np.concatenate(
-                [
-                    held_errors_m(track.filtered, track.recording.repaired_m)
-                    for track in tracks
-                    if track.recording.device == device
-                ]
-            )
-            for device in (1, 2)
-        }
-        np.savez_compressed(scores / f"{Scoring(method, 'zero-shot', target, 0).name}.npz", **errors)
-    lines = "".join(json.dumps(one.as_json()) + "\n" for one in tracked)
-    (runs / "default" / "records.jsonl").write_text(lines, encoding="utf-8")
+        series = [error_series(track, "repaired") for track in tracks]
+        write_error_series(series, scores / f"{Scoring(method, 'zero-shot', target, 0).name}.npz")
+    write_records(tracked, runs / "default" / "records.jsonl")
     (runs / "smoke").mkdir()
     (runs / "smoke" / "records.jsonl").write_text("no record: default comes first\n", encoding="utf-8")
     return tracked

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -72,42 +72,72 @@ class Record:
         return asdict(self)
 
 
-def write_records(records: Iterable[Record], path: Path) -> None:
+@dataclass(frozen=True)
+class TrackedRecord:
+    """A result record and what it came from.
+
+    Args:
+        record: The record.
+        run_id: Of the MLflow run that holds it.
+        data_hash: Over the packed sites of source and target.
+        made_up: True where the buildings are made up.
+    """
+
+    record: Record
+    run_id: str
+    data_hash: str
+    made_up: bool
+
+    def as_json(self) -> dict[str, Any]:
+        """Return one line of a records file: the record's fields, then the others."""
+        return self.record.as_json() | {
+            "run_id": self.run_id,
+            "data_hash": self.data_hash,
+            "made_up": self.made_up,
+        }
+
+
+def write_records(records: Iterable[Record | TrackedRecord], path: Path) -> None:
     """Write records as JSON lines, in one move."""
     with whole(path) as part:
         part.write_text("".join(json.dumps(one.as_json()) + "\n" for one in records), encoding="utf-8")
 
 
-def read_records(path: Path) -> list[Record]:
-    """Read what ``write_records`` wrote.
+def tracked_record(line: str) -> TrackedRecord:
+    """Return the record of one line of a records file.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: If the line holds none.
+    """
+    values = json.loads(line)
+    own = {name: values.pop(name) for name in ("run_id", "data_hash", "made_up")}
+    return TrackedRecord(Record(**values), **own)
+
+
+def read_tracked_records(path: Path) -> list[TrackedRecord]:
+    """Return the tracked records of a file that ``write_records`` wrote.
 
     Raises:
         MissingFileError: If there is no such file.
-        BadFileError: If a line is no record.
+        BadFileError: If a line is no such record.
     """
     if not path.is_file():
-        raise MissingFileError(path, expected="result records", way_out="make them with `fploc reproduce`")
-    lines = path.read_text(encoding="utf-8").splitlines()
-    return [_parsed(line, path, number) for number, line in enumerate(lines, start=1)]
+        raise MissingFileError(path, expected="result records", way_out="make them: fploc reproduce")
+    records = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        try:
+            records.append(tracked_record(line))
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise BadFileError(
+                path,
+                f"line {number}",
+                value=f"{type(error).__name__} {error}",
+                expected="a result record as JSON",
+                way_out="make it again: fploc reproduce",
+            ) from error
+    return records
 
 
 def finite_or_none(value: float) -> float | None:
     """Return a metric as records hold it: JSON knows no NaN."""
     return value if math.isfinite(value) else None
-
-
-def _parsed(line: str, path: Path, number: int) -> Record:
-    names = [one.name for one in fields(Record)]
-    try:
-        values = json.loads(line)
-    except ValueError:
-        values = None
-    if not isinstance(values, Mapping) or sorted(values) != sorted(names):
-        raise BadFileError(
-            path,
-            f"line {number}",
-            value=repr(line[:60]),
-            expected=f"a JSON object with {', '.join(names)}",
-            way_out="delete the file and evaluate again",
-        )
-    return Record(**values)

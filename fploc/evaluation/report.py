@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from fploc.errors import BadFileError, MissingFileError
 from fploc.evaluation.paper_numbers import paper_numbers, published
-from fploc.evaluation.records import Record
+from fploc.evaluation.records import Record, TrackedRecord
+from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
 
 METRICS = ("rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
-UNKNOWN = "–"
+REAL_PLAN = "real"
 FILTERS = {"none": "none", "kalman": "KF", "own": "own"}
 SHARED_FLOOR = ("conference-room", "office-position1", "office-position2")
 
@@ -35,89 +30,47 @@ class Scoring:
         return f"{self.protocol}--{self.site}--{self.method}--seed-{self.seed}"
 
 
-@dataclass(frozen=True)
-class TrackedRecord:
-    """A result record and what it came from.
-
-    Args:
-        record: The record.
-        run_id: Of the MLflow run that holds it.
-        data_hash: Over the packed sites of source and target.
-        made_up: True where the buildings are made up.
-    """
-
-    record: Record
-    run_id: str
-    data_hash: str
-    made_up: bool
-
-    def as_json(self) -> dict[str, Any]:
-        """Return one line of a records file: the record's fields, then the others."""
-        return self.record.as_json() | {
-            "run_id": self.run_id,
-            "data_hash": self.data_hash,
-            "made_up": self.made_up,
-        }
+def variant_of(preset: str) -> str:
+    """Return what stands behind ``--`` in the name of a preset: its ablation; empty for the preset itself."""
+    return preset.partition("--")[2]
 
 
-def tracked_record(line: str) -> TrackedRecord:
-    """Return the record of one line of a records file.
+def setting_of(record: Record) -> str:
+    """Return what a record departs in from the plain evaluation of its preset; empty where in nothing."""
+    parts = (
+        variant_of(record.preset),
+        "" if record.plan == REAL_PLAN else f"plan {record.plan}",
+        "" if record.thin == 1 else f"thin {record.thin}",
+        record.condition,
+    )
+    return "; ".join(part for part in parts if part)
 
-    Raises:
-        ValueError, KeyError, TypeError: If the line holds none.
-    """
-    values = json.loads(line)
-    own = {name: values.pop(name) for name in ("run_id", "data_hash", "made_up")}
-    return TrackedRecord(Record(**values), **own)
 
-
-def read_tracked_records(path: Path) -> list[TrackedRecord]:
-    """Return the records of a file of JSON lines.
-
-    Raises:
-        MissingFileError: If there is no such file.
-        BadFileError: If a line is no such record.
-    """
-    if not path.is_file():
-        raise MissingFileError(path, expected="result records", way_out="make them: fploc reproduce")
-    lines = path.read_text(encoding="utf-8").splitlines()
-    records = []
-    for number, line in enumerate(lines, start=1):
-        try:
-            records.append(tracked_record(line))
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise BadFileError(
-                path,
-                f"line {number}",
-                value=f"{type(error).__name__} {error}",
-                expected="a result record as JSON",
-                way_out="make it again: fploc reproduce",
-            ) from error
-    return records
+def headline_records(records: Sequence[TrackedRecord]) -> list[TrackedRecord]:
+    """Return the records without ablation, of the site's own plan and without condition, least thinned."""
+    plain = [
+        one
+        for one in records
+        if not (variant_of(one.record.preset) or one.record.condition) and one.record.plan == REAL_PLAN
+    ]
+    least = min((one.record.thin for one in plain), default=1)
+    return [one for one in plain if one.record.thin == least]
 
 
 def comparison_rows(records: Sequence[TrackedRecord], *, labels: str) -> list[dict[str, str]]:
     """Return methods × sites × devices × {unfiltered, KF}, means over seeds, the paper's RMSE beside.
 
     Args:
-        records: Of one preset.
+        records: Of one preset and its variants.
         labels: Kind of labels that the rows are scored with.
     """
-    groups: dict[tuple[str, str, int, str, str], list[Record]] = {}
+    groups: dict[tuple[str, str, int, str, str, str], list[Record]] = {}
     for tracked in records:
         one = tracked.record
         if one.labels == labels:
-            key = (one.protocol, one.site, one.device, one.method, one.filter)
+            key = (one.protocol, one.site, one.device, one.method, one.filter, setting_of(one))
             groups.setdefault(key, []).append(one)
     return [_row(*key, group) for key, group in groups.items()]
-
-
-def markdown(rows: Sequence[dict[str, str]]) -> str:
-    """Return rows of equal keys as a Markdown table."""
-    if not rows:
-        return ""
-    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
@@ -136,7 +89,9 @@ def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
         "Metres. `rmse_m`, `p50_m` and `p90_m` hold the last fix; `rmse_fixed_m` is over intervals with a fix "
         "of their own. The intervals of all recordings of a device count alike; ± is over seeds. `paper` is the "
         "published RMSE, zero-shot first, two-device table second; its labels and subset are not known to be "
-        "ours. `seen` is memory: the robot retraces one line. `own` is a method that filters by itself.\n",
+        "ours. `seen` is memory: the robot retraces one line. `own` is a method that filters by itself. "
+        "`setting` is what differs from the plain evaluation: an ablation, another plan, every so many-th "
+        "interval (`thin`), or a condition.\n",
         *(
             f"\n`{site}` lies on the office floor: its walls were seen in training, so zero-shot says less there.\n"
             for site in SHARED_FLOOR
@@ -152,12 +107,18 @@ def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
 
 
 def _row(
-    protocol: str, site: str, device: int, method: str, filter_name: str, group: Sequence[Record]
+    protocol: str,
+    site: str,
+    device: int,
+    method: str,
+    filter_name: str,
+    setting: str,
+    group: Sequence[Record],
 ) -> dict[str, str]:
     filtered = filter_name == "kalman"
     paper = (
         []
-        if filter_name == "own"
+        if filter_name == "own" or setting
         else published(protocol, method, site, device, filtered=filtered, metric="rmse_m")
     )
     return {
@@ -166,20 +127,12 @@ def _row(
         "device": str(device),
         "method": method,
         "filter": FILTERS[filter_name],
-        **{metric: _mean_text([getattr(one, metric) for one in group]) for metric in METRICS},
-        "no fix": _mean_text([one.no_fix_share for one in group]),
+        "setting": setting or UNKNOWN,
+        **{metric: mean_text([getattr(one, metric) for one in group]) for metric in METRICS},
+        "no fix": mean_text([one.no_fix_share for one in group]),
         "paper": ", ".join(row.value for row in paper) or UNKNOWN,
-        "ms/fix": _mean_text([one.ms_per_fix for one in group]),
+        "ms/fix": mean_text([one.ms_per_fix for one in group]),
     }
-
-
-def _mean_text(values: Sequence[float | None]) -> str:
-    known = [value for value in values if value is not None]
-    if not known:
-        return UNKNOWN
-    if len(known) == 1:
-        return f"{known[0]:.2f}"
-    return f"{np.mean(known):.2f} ± {np.std(known, ddof=1):.2f}"
 
 
 def _paper_rows() -> list[dict[str, str]]:

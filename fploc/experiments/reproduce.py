@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 import warnings
@@ -18,11 +17,17 @@ from numpy.typing import NDArray
 from datamodules.measured import MeasuredDataModule
 from fploc.artifacts import Artifact, ArtifactKey, load_artifact
 from fploc.datasets.packed import PackedSite, read_packed
+from fploc.evaluation.error_series import (
+    error_series,
+    pooled_errors_m,
+    read_error_series,
+    write_error_series,
+)
 from fploc.evaluation.evaluate import EvaluationRequest, records_of, tracks_of
 from fploc.evaluation.metrics import held_errors_m
 from fploc.evaluation.protocols import protocol_of
-from fploc.evaluation.records import Record
-from fploc.evaluation.report import Scoring, TrackedRecord, comparison_rows, page, read_tracked_records
+from fploc.evaluation.records import Record, TrackedRecord, read_tracked_records, write_records
+from fploc.evaluation.report import Scoring, comparison_rows, page
 from fploc.evaluation.revision import running_commit
 from fploc.evaluation.run_log import RunLog
 from fploc.experiments.duration import announce_duration
@@ -271,23 +276,12 @@ class Reproduction:
         run_id = self._record_run(scoring, records, tracks)
         file = self._records_file(scoring)
         file.parent.mkdir(parents=True, exist_ok=True)
-        errors = {
-            f"device{device}": np.concatenate(
-                [
-                    held_errors_m(track.filtered or track.unfiltered, track.recording.labels_m(FIGURE_LABELS))
-                    for track in tracks
-                    if track.recording.device == device
-                ]
-            )
-            for device in sorted({track.recording.device for track in tracks})
-        }
-        np.savez_compressed(file.with_suffix(".npz"), **errors)  # type: ignore[arg-type]
+        write_error_series([error_series(track, FIGURE_LABELS) for track in tracks], file.with_suffix(".npz"))
         tracked = [
             TrackedRecord(record, run_id, self._data_hash(scoring.site), self.world.made_up)
             for record in records
         ]
-        with whole(file) as part:
-            part.write_text("".join(json.dumps(one.as_json()) + "\n" for one in tracked))
+        write_records(tracked, file)
 
     def _record_run(self, scoring: Scoring, records: Sequence[Record], tracks: Sequence[Track]) -> str:
         kind = (
@@ -346,17 +340,20 @@ class Reproduction:
         for protocol, site in dict.fromkeys((one.protocol, one.site) for one in scorings):
             there = [one for one in scorings if (one.protocol, one.site) == (protocol, site)]
             errors = {
-                one.method: np.load(self._records_file(one).with_suffix(".npz"))
+                one.method: read_error_series(self._records_file(one).with_suffix(".npz"))
                 for one in there
                 if one.seed == self.preset.seeds[0]
             }
-            for device in next(iter(errors.values())).files:
+            for device in sorted({one.device for series in errors.values() for one in series}):
                 figure = plot_cdf(
-                    {method: stored[device] for method, stored in errors.items()},
-                    f"{protocol}, {site}, {device}, Kalman filter, {FIGURE_LABELS} labels",
+                    {
+                        method: pooled_errors_m(series, device, filtered=True)
+                        for method, series in errors.items()
+                    },
+                    f"{protocol}, {site}, device {device}, Kalman filter, {FIGURE_LABELS} labels",
                     made_up=self.world.made_up,
                 )
-                figure.savefig(figures / f"cdf--{protocol}--{site}--{device}.png", dpi=120)
+                figure.savefig(figures / f"cdf--{protocol}--{site}--device{device}.png", dpi=120)
         with whole(self.folder / "records.jsonl") as part:
             part.write_text("".join(file.read_text() for file in files))
         with whole(self.folder / "results.md") as part:

@@ -8,10 +8,12 @@ import pytest
 from fploc.evaluation.metrics import (
     Scores,
     arc_length_m,
+    bootstrap_difference,
     held_positions,
     mean_over_recordings,
     normalised_errors,
     score,
+    score_errors,
 )
 from fploc.intervals import NoFix
 from fploc.localizer import Path
@@ -105,3 +107,51 @@ def test_a_recording_without_a_fix_does_not_spoil_the_mean() -> None:
 def test_arc_length_skips_gaps_in_the_labels() -> None:
     truth = np.array([[0.0, 0.0], [3.0, 4.0], [NAN, NAN], [3.0, 5.0]])
     assert arc_length_m(truth) == pytest.approx(6.0)
+
+
+def test_errors_alone_give_the_scores_that_need_nothing_else() -> None:
+    found, whole = score_errors(np.array([NAN, 3.0, 3.0, 4.0, 4.0, NAN])), score([GAPPY], [labels(5)])
+    for name in ("n", "rmse_m", "mae_m", "p50_m", "p90_m", "p95_m"):
+        assert getattr(found, name) == getattr(whole, name)
+    assert math.isnan(found.rmse_fixed_m) and math.isnan(found.coverage95) and math.isnan(found.nees)
+
+
+def seconds(*lengths: int) -> list[np.ndarray]:
+    return [np.arange(length, dtype=np.float64) for length in lengths]
+
+
+def test_the_difference_is_that_of_the_two_rmse() -> None:
+    first = [np.array([3.0, 4.0, NAN]), np.array([0.0])]
+    second = [np.array([1.0, 2.0, 50.0]), np.array([2.0])]
+    found = bootstrap_difference(first, second, seconds(3, 1))
+    assert found.rmse_m == pytest.approx(math.sqrt(25 / 3) - math.sqrt(9 / 3))
+    assert found.recordings_m == pytest.approx((math.sqrt(12.5) - math.sqrt(2.5), -2.0))
+
+
+def test_one_block_or_equal_blocks_leave_nothing_to_chance() -> None:
+    one = bootstrap_difference([np.array([1.0, 3.0])], [np.array([1.0, 1.0])], seconds(2))
+    assert one.low_m == one.high_m == one.rmse_m
+    constant = bootstrap_difference([np.full(300, 2.0)], [np.full(300, 0.5)], seconds(300))
+    assert (constant.low_m, constant.rmse_m, constant.high_m) == pytest.approx((1.5, 1.5, 1.5))
+
+
+def test_errors_that_stay_for_a_block_make_the_difference_less_sure_than_their_number_says() -> None:
+    draws = np.random.default_rng(0).exponential(size=40)
+    lasting = [np.repeat(draws, 30)]
+    zero, times = [np.zeros(1200)], seconds(1200)
+    by_block = bootstrap_difference(lasting, zero, times)
+    by_interval = bootstrap_difference(lasting, zero, times, block_s=1.0)
+    assert by_block.rmse_m == pytest.approx(by_interval.rmse_m)
+    assert by_block.high_m - by_block.low_m > 3.0 * (by_interval.high_m - by_interval.low_m)
+    assert by_block == bootstrap_difference(lasting, zero, times)
+
+
+def test_blocks_end_with_their_recording() -> None:
+    first = [np.full(10, 1.0), np.full(10, 3.0)]
+    found = bootstrap_difference(first, [np.zeros(10), np.zeros(10)], seconds(10, 10))
+    assert (found.low_m, found.high_m) == pytest.approx((1.0, 3.0))
+
+
+def test_nothing_in_common_is_no_number() -> None:
+    found = bootstrap_difference([np.array([NAN])], [np.array([1.0])], seconds(1))
+    assert math.isnan(found.rmse_m) and found.recordings_m == ()

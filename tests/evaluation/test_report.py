@@ -1,21 +1,12 @@
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from fploc.errors import BadFileError, MissingFileError
-from fploc.evaluation.records import Record
-from fploc.evaluation.report import (
-    UNKNOWN,
-    TrackedRecord,
-    comparison_rows,
-    markdown,
-    page,
-    read_tracked_records,
-)
+from fploc.evaluation.records import Record, TrackedRecord
+from fploc.evaluation.report import comparison_rows, headline_records, page
+from fploc.evaluation.tables import UNKNOWN
 
 RECORD = Record(
     method="gnn",
@@ -63,6 +54,7 @@ def test_one_record_is_one_row_with_the_papers_number_beside() -> None:
         "device": "1",
         "method": "gnn",
         "filter": "none",
+        "setting": UNKNOWN,
         "rmse_m": "2.00",
         "rmse_fixed_m": "1.50",
         "p50_m": "0.50",
@@ -113,11 +105,6 @@ def test_a_seed_without_a_number_leaves_the_others() -> None:
     assert row["rmse_m"] == "2.00"
 
 
-def test_markdown_holds_one_line_for_each_row() -> None:
-    assert markdown([{"a": "1", "b": "2"}]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
-    assert markdown([]) == ""
-
-
 def test_a_page_of_public_data_shows_both_labels_and_the_papers_numbers() -> None:
     text = page(tracked({}, {"labels": "published"}), preset="full")
     assert "## Repaired labels" in text and "## Published labels" in text
@@ -133,27 +120,30 @@ def test_a_page_of_made_up_buildings_says_so_and_compares_nothing() -> None:
     assert f"| {UNKNOWN} |" in text
 
 
-def test_a_line_of_a_records_file_is_the_record_and_where_it_came_from() -> None:
-    (one,) = tracked({})
-    assert list(one.as_json()) == [*RECORD.as_json(), "run_id", "data_hash", "made_up"]
+def test_what_differs_from_the_plain_evaluation_is_a_row_of_its_own_beside_no_published_number() -> None:
+    changes: list[dict[str, object]] = [
+        {},
+        {"plan": "blank"},
+        {"thin": 10},
+        {"condition": "without link"},
+        {"preset": "full--no-norm", "plan": "blank", "thin": 10},
+    ]
+    rows = comparison_rows(tracked(*changes), labels="repaired")
+    assert [row["setting"] for row in rows] == [
+        UNKNOWN, "plan blank", "thin 10", "without link", "no-norm; plan blank; thin 10",
+    ]  # fmt: skip
+    assert [row["paper"] for row in rows] == ["1.57", *[UNKNOWN] * 4]
 
 
-def test_records_are_read_back_as_they_were(tmp_path: Path) -> None:
-    records = tracked({}, {"device": 2, "rmse_m": None}, made_up=True)
-    file = tmp_path / "records.jsonl"
-    file.write_text("".join(json.dumps(one.as_json()) + "\n" for one in records))
-    assert read_tracked_records(file) == records
-
-
-@pytest.mark.parametrize("line", ["", "[1]", '{"run_id": 1}', "{", "3"])
-def test_a_line_that_is_no_record_is_named(line: str, tmp_path: Path) -> None:
-    (one,) = tracked({})
-    file = tmp_path / "records.jsonl"
-    file.write_text(f"{json.dumps(one.as_json())}\n{line}\n")
-    with pytest.raises(BadFileError, match=r"records\.jsonl, line 2: found .*make it again"):
-        read_tracked_records(file)
-
-
-def test_a_missing_file_of_records_is_named(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match=r"none\.jsonl: found nothing"):
-        read_tracked_records(tmp_path / "none.jsonl")
+def test_headlines_are_the_least_thinned_plain_records() -> None:
+    changes: list[dict[str, object]] = [
+        {"thin": 10},
+        {"thin": 2},
+        {"thin": 2, "seed": 1},
+        {"plan": "blank"},
+        {"condition": "without link"},
+        {"preset": "full--no-norm"},
+    ]
+    records = tracked(*changes)
+    assert headline_records(records) == records[1:3]
+    assert headline_records([]) == []

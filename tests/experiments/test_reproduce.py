@@ -22,8 +22,8 @@ import fploc.experiments.world
 from fploc.cli import main
 from fploc.datasets.download import Patience, download
 from fploc.datasets.packed import read_packed
-from fploc.evaluation.records import Record
-from fploc.evaluation.report import Scoring, tracked_record
+from fploc.evaluation.records import Record, tracked_record
+from fploc.evaluation.report import Scoring
 from fploc.experiments.preset import Preset
 from fploc.experiments.reproduce import EXPERIMENT, Reproduction
 from fploc.experiments.scoring import data_hash

@@ -1,0 +1,14 @@
+from __future__ import annotations
+
+from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
+
+
+def test_markdown_holds_one_line_for_each_row() -> None:
+    assert markdown([{"a": "1", "b": "2"}]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
+    assert markdown([]) == ""
+
+
+def test_several_numbers_are_mean_and_sample_deviation_one_stands_alone_none_is_a_dash() -> None:
+    assert mean_text([1.0, 2.0, None, 3.0]) == "2.00 ± 1.00"
+    assert mean_text([None, 1.25], decimals=1) == "1.2"
+    assert mean_text([None]) == mean_text([]) == UNKNOWN
