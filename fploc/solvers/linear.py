@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from fploc.intervals import Estimate, estimate
-from fploc.solvers.planar import SMALLEST_SPREAD_RATIO, spread_ratios, symmetric_inverse
+from fploc.solvers.planar import SMALLEST_SPREAD_RATIO, spread_ratios, symmetric_inverse, taken
 from fploc.solvers.reasons import reasons_for
 
 
@@ -56,7 +56,7 @@ def solve_linear(
 
     Args:
         ranges: Calibrated distances in the plan, shape (B, A), metres; ignored where ``heard`` is False.
-        access_points: Positions, shape (A, 2), metres, site frame.
+        access_points: Positions, shape (A, 2) or (B, A, 2), metres, site frame.
         sigmas: Standard deviation of each range, shape (B, A), metres.
         heard: True where the access point answered, shape (B, A).
         reference: Index of each row's reference, shape (B,), which must be heard; None for the nearest.
@@ -68,7 +68,7 @@ def solve_linear(
     """
     chosen = nearest_access_points(ranges, heard) if reference is None else reference
     index = chosen[:, None]
-    origin = access_points[chosen]
+    origin = taken(access_points, chosen)
     reference_range = ranges.gather(1, index)
     used = heard.scatter(1, index, False)
     arms = torch.where(used[..., None], access_points - origin[:, None, :], 0.0)

@@ -26,6 +26,7 @@ from fploc.solvers.planar import (
     mirrored,
     spread_ratios,
     symmetric_inverse,
+    taken,
 )
 from fploc.solvers.reasons import reasons_for
 
@@ -60,7 +61,7 @@ class NonlinearSettings:
 
 @dataclass(frozen=True)
 class _Ranges:
-    """The problem: ``ranges``, ``sigmas``, ``heard`` (B, A), ``access_points`` (A, 2), ``loss``."""
+    """The problem: ``ranges``, ``sigmas``, ``heard`` (B, A), ``access_points`` (A, 2) or (B, A, 2), ``loss``."""
 
     ranges: Tensor
     access_points: Tensor
@@ -68,9 +69,14 @@ class _Ranges:
     heard: Tensor
     loss: Loss
 
+    def away(self, positions: Tensor) -> Tensor:
+        """Return the vectors from access points to ``positions`` (B, S, 2), shape (B, S, A, 2)."""
+        anchors = self.access_points if self.access_points.dim() == 2 else self.access_points[:, None]
+        return positions[..., None, :] - anchors
+
     def scaled_residuals(self, positions: Tensor) -> tuple[Tensor, Tensor]:
         """Return residuals over σ, (B, S, A), and their Jacobian, (B, S, A, 2), at ``positions`` (B, S, 2)."""
-        away = positions[..., None, :] - self.access_points
+        away = self.away(positions)
         distances = away.square().sum(-1).sqrt().clamp(min=SHORTEST_DISTANCE_M)
         scale = (self.heard / self.sigmas)[:, None, :]
         return (distances - self.ranges[:, None, :]) * scale, away * (scale / distances)[..., None]
@@ -95,7 +101,7 @@ class _Ranges:
         scaled, jacobian = self.scaled_residuals(positions)
         weights = self.loss.weight(scaled)
         scale = (self.heard / self.sigmas)[:, None, :]
-        distances = (positions[..., None, :] - self.access_points).square().sum(-1).sqrt()
+        distances = self.away(positions).square().sum(-1).sqrt()
         bend = weights * scale * scaled / distances.clamp(min=SHORTEST_DISTANCE_M)
         across = torch.where(scale > 0, bend / scale.square(), 0.0)[..., None]
         identity = torch.eye(2, dtype=positions.dtype, device=positions.device)
@@ -110,7 +116,7 @@ def default_starts(ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard:
 
     Args:
         ranges: Shape (B, A), metres; ignored where ``heard`` is False.
-        access_points: Shape (A, 2), metres, site frame.
+        access_points: Shape (A, 2) or (B, A, 2), metres, site frame.
         sigmas: Standard deviation of each range, shape (B, A), metres.
         heard: Shape (B, A).
 
@@ -122,7 +128,7 @@ def default_starts(ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard:
     points = torch.arange(CIRCLE_POINTS, device=ranges.device)
     angles = points.to(ranges.dtype) * (2 * torch.pi / CIRCLE_POINTS)
     directions = torch.stack([angles.cos(), angles.sin()], -1)
-    circle = access_points[nearest][:, None, :] + radius[:, None, None] * directions
+    circle = taken(access_points, nearest)[:, None, :] + radius[:, None, None] * directions
     costs = _Ranges(ranges, access_points, sigmas, heard, SquaredLoss()).cost(circle)
     quarters = costs.reshape(-1, QUARTERS, CIRCLE_POINTS // QUARTERS)
     chosen = quarters.argmin(-1) + points[:: CIRCLE_POINTS // QUARTERS]
@@ -150,7 +156,7 @@ def solve_nonlinear(
 
     Args:
         ranges: Calibrated distances in the plan, shape (B, A), metres; ignored where ``heard`` is False.
-        access_points: Positions, shape (A, 2), metres, site frame.
+        access_points: Positions, shape (A, 2) or (B, A, 2), metres, site frame.
         sigmas: Standard deviation of each range, shape (B, A), metres.
         heard: True where the access point answered, shape (B, A).
         starts: Further starts, for example the previous fix, shape (B, S, 2), metres, site frame.

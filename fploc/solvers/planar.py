@@ -1,6 +1,7 @@
 """Closed forms in the plane that all solvers share: 2 × 2 matrices, and how access points spread.
 
-Axes: B intervals, A access points.
+Axes: B intervals, A access points. Positions of access points may be those of a site, shape (A, 2), or each
+interval's own, shape (B, A, 2): then another device whose range is known can be one of them.
 """
 
 from __future__ import annotations
@@ -34,25 +35,42 @@ def eigenvalues(matrices: Tensor) -> tuple[Tensor, Tensor]:
     return middle - half_gap, middle + half_gap
 
 
+def taken(access_points: Tensor, index: Tensor) -> Tensor:
+    """Return the positions of chosen access points.
+
+    Args:
+        access_points: Shape (A, 2) or (B, A, 2), metres, site frame.
+        index: Of the access points of each interval, shape (B, …), int64.
+
+    Returns:
+        Shape (B, …, 2), metres, site frame.
+    """
+    if access_points.dim() == 2:
+        return access_points[index]
+    rows = torch.arange(len(index), device=index.device)
+    return access_points[rows.reshape(-1, *[1] * (index.dim() - 1)), index]
+
+
 def centroids(access_points: Tensor, heard: Tensor) -> Tensor:
     """Return the mean of the access points heard.
 
     Args:
-        access_points: Shape (A, 2), metres, site frame.
+        access_points: Shape (A, 2) or (B, A, 2), metres, site frame.
         heard: Shape (B, A).
 
     Returns:
         Shape (B, 2), metres, site frame; the origin where nothing is heard.
     """
     weights = heard.to(access_points.dtype)
-    return weights @ access_points / weights.sum(-1, keepdim=True).clamp(min=1.0)
+    summed = (weights[:, None, :] @ access_points)[:, 0]
+    return summed / weights.sum(-1, keepdim=True).clamp(min=1.0)
 
 
 def spread_ratios(access_points: Tensor, heard: Tensor) -> Tensor:
     """Return how far the access points heard are from standing on one line.
 
     Args:
-        access_points: Shape (A, 2), metres, site frame.
+        access_points: Shape (A, 2) or (B, A, 2), metres, site frame.
         heard: Shape (B, A).
 
     Returns:
@@ -70,7 +88,7 @@ def mirrored(points: Tensor, access_points: Tensor, heard: Tensor) -> Tensor:
 
     Args:
         points: Shape (B, 2), metres, site frame.
-        access_points: Shape (A, 2), metres, site frame.
+        access_points: Shape (A, 2) or (B, A, 2), metres, site frame.
         heard: Shape (B, A).
 
     Returns:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from fploc.intervals import Estimate, estimate
 from fploc.solvers.linear import LinearSettings, solve_linear
+from fploc.solvers.planar import taken
 from fploc.solvers.reasons import FEWEST_RANGES, reasons_for
 
 
@@ -44,7 +45,7 @@ def solve_trilateration(
 
     Args:
         ranges: Calibrated distances in the plan, shape (B, A), metres; ignored where ``heard`` is False.
-        access_points: Positions, shape (A, 2), metres, site frame.
+        access_points: Positions, shape (A, 2) or (B, A, 2), metres, site frame.
         sigmas: Standard deviation of each range, shape (B, A), metres.
         heard: True where the access point answered, shape (B, A).
         settings: Guards.
@@ -54,7 +55,7 @@ def solve_trilateration(
         solution. No fix with fewer than three ranges, where every choice of access points is near singular,
         and where the solution is out of the reference's reach.
     """
-    if access_points.shape[0] < FEWEST_RANGES:
+    if access_points.shape[-2] < FEWEST_RANGES:
         nowhere = torch.full((len(ranges), 2), torch.nan, dtype=ranges.dtype, device=ranges.device)
         no_spread = nowhere[:, :, None].expand(-1, -1, 2)
         return estimate(nowhere, no_spread, reasons_for(heard, torch.zeros_like(heard[:, :1])[:, 0]))
@@ -77,7 +78,7 @@ def _choose(
     nearer, farther = torch.meshgrid(ranks, ranks, indexing="xy")
     pairs = torch.stack([nearer, farther], -1)[nearer < farther]
     members = order[:, pairs]
-    arms = access_points[members] - access_points[order[:, 0]][:, None, None, :]
+    arms = taken(access_points, members) - taken(access_points, order[:, 0])[:, None, None, :]
     one, two = arms[..., 0, :], arms[..., 1, :]
     cross = one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
     is_wide = cross.abs() > smallest_sine * one.norm(dim=-1) * two.norm(dim=-1)
