@@ -11,7 +11,7 @@ STEPS, DEVICES = 80, 5
 SETTINGS = [
     KalmanSettings(),
     KalmanSettings.for_speed(1.4),
-    KalmanSettings(measurement_variance_m2=None, rejects_to_restart=3),
+    KalmanSettings(turning_s=60.0, fix_variance_m2=0.0, gate=2.0, correlation_s=0.0),
 ]
 
 
@@ -66,8 +66,29 @@ def test_batched_filter_equals_filterpy(settings: KalmanSettings) -> None:
 
 def test_noise_of_two_steps_is_that_of_their_sum() -> None:
     one, two = torch.tensor([0.3]).double(), torch.tensor([0.9]).double()
-    first, second, both = process_noise(one, 0.3), process_noise(two, 0.3), process_noise(one + two, 0.3)
-    torch.testing.assert_close(transition(two) @ first @ transition(two).mT + second, both)
+    settings = KalmanSettings()
+    first, second, both = (process_noise(dt_s, settings) for dt_s in (one, two, one + two))
+    flow = transition(two, settings.turning_s)
+    torch.testing.assert_close(flow @ first @ flow.mT + second, both)
+    torch.testing.assert_close(
+        flow @ transition(one, settings.turning_s), transition(one + two, settings.turning_s)
+    )
+
+
+def test_in_steps_far_shorter_than_a_turn_the_velocity_is_constant() -> None:
+    dt_s, settings = torch.tensor([0.2]).double(), KalmanSettings(turning_s=2000.0)
+    flow, noise = transition(dt_s, settings.turning_s)[0], process_noise(dt_s, settings)[0]
+    torch.testing.assert_close(flow[0], torch.tensor([1.0, 0.0, 0.2, 0.0]).double(), atol=1e-4, rtol=0)
+    expected = settings.noise_m2_per_s3 * torch.tensor([0.2**3 / 3, 0.0, 0.2**2 / 2, 0.0]).double()
+    torch.testing.assert_close(noise[0], expected, atol=1e-9, rtol=1e-3)
+
+
+def test_people_keep_their_speed_and_forget_where_they_walked() -> None:
+    settings, long = KalmanSettings.for_speed(1.4), torch.tensor([300.0]).double()
+    velocity = process_noise(long, settings)[0, 2:, 2:]
+    torch.testing.assert_close(velocity.trace().sqrt(), torch.tensor(1.4).double())
+    reach_m = transition(long, settings.turning_s)[0, 0, 2] * 1.4
+    torch.testing.assert_close(reach_m, torch.tensor(1.4 * settings.turning_s).double())
 
 
 def test_it_follows_a_straight_walk_better_than_its_fixes() -> None:
@@ -98,20 +119,46 @@ def test_an_interval_without_a_fix_stays_without_one_and_the_track_goes_on() -> 
     state, found = batched.step(state, torch.tensor([9.0]), here, fixes_at(nowhere, ~here))
     assert not found.fixed.any()
     torch.testing.assert_close(state.means[:, :2], place)
-    assert torch.isfinite(state.covariances).all() and state.covariances[0, 0, 0] > 10
+    walked = process_noise(torch.tensor([8.0]).double(), batched.settings)[0, 0, 0]
+    assert torch.isfinite(state.covariances).all() and state.covariances[0, 0, 0] > walked > 3
 
 
-def test_outliers_are_gated_until_they_agree() -> None:
-    settings = KalmanSettings(rejects_to_restart=3)
-    batched = BatchedFilter(settings)
-    here = torch.ones(1, dtype=torch.bool)
-    state = batched.init(1)
-    home, away = torch.zeros(1, 2, dtype=torch.float64), torch.full((1, 2), 50.0, dtype=torch.float64)
-    seen = []
-    for step, place in enumerate([home, home, away, away, home, away, away, away]):
-        state, found = batched.step(state, torch.tensor([0.2 * step]), here, fixes_at(place, here))
-        seen.append(bool(found.positions.norm() > 30))
-    assert seen == [False] * 7 + [True]
+def steps_at(places: list[tuple[float, torch.Tensor]], settings: KalmanSettings) -> list[torch.Tensor]:
+    """Return the filtered positions of one device for fixes at times."""
+    batched, here = BatchedFilter(settings), torch.ones(1, dtype=torch.bool)
+    state, seen = batched.init(1), []
+    for t_s, place in places:
+        state, found = batched.step(state, torch.tensor([t_s]), here, fixes_at(place, here))
+        seen.append(found.positions[0])
+    return seen
+
+
+HOME = torch.zeros(1, 2, dtype=torch.float64)
+
+
+def test_an_outlier_pulls_the_less_the_farther_it_is() -> None:
+    pulls = []
+    for distance in (3.0, 30.0, 300.0):
+        places = [(0.5 * step, HOME) for step in range(10)] + [(5.0, HOME + distance)]
+        pulls.append(float(steps_at(places, KalmanSettings())[-1].norm()))
+    assert pulls[0] > pulls[1] > pulls[2] > 0
+    assert pulls[1] < 0.5
+
+
+def test_a_wrong_first_fix_is_left_within_half_a_minute() -> None:
+    places = [(0.0, HOME + 30.0)] + [(0.5 * step, HOME) for step in range(1, 60)]
+    assert steps_at(places, KalmanSettings())[-1].norm() < 0.5
+
+
+def test_fixes_in_quick_succession_count_as_one() -> None:
+    batched, here = BatchedFilter(KalmanSettings()), torch.ones(1, dtype=torch.bool)
+    variances = []
+    for step_s in (1.0, 0.1):
+        state = batched.init(1)
+        for index in range(1 + round(10 / step_s)):
+            state, _ = batched.step(state, torch.tensor([step_s * index]), here, fixes_at(HOME, here))
+        variances.append(float(state.covariances[0, 0, 0]))
+    assert variances[1] == pytest.approx(variances[0], rel=0.2)
 
 
 def test_absent_devices_and_times_that_step_back_change_no_track() -> None:
@@ -134,4 +181,5 @@ def test_absent_devices_and_times_that_step_back_change_no_track() -> None:
 def test_the_speed_prior_sets_start_and_noise() -> None:
     assert KalmanSettings.for_speed(0.5) == KalmanSettings()
     fast = KalmanSettings.for_speed(1.0)
-    assert fast.speed_sd_mps == 1.0 and fast.noise_m2_per_s3 == pytest.approx(1.2)
+    assert fast.velocity_variance_m2_per_s2 == 0.5
+    assert fast.noise_m2_per_s3 == pytest.approx(4 * KalmanSettings().noise_m2_per_s3)
