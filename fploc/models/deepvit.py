@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import ceil
 
 import torch
 from timm.layers.drop import DropPath
@@ -16,6 +17,9 @@ from fploc.models.layers.reattention import ReAttention
 
 CROP_WIDTH_M = 4.0
 """Extent of a crop across the link, H of the paper: 256 pixels at 64 px/m."""
+
+CROPS_AT_ONCE = 128
+"""Of like length, in evaluation."""
 
 
 def valid_columns(lengths_px: Tensor, patch_length_px: int, columns: int) -> Tensor:
@@ -172,7 +176,27 @@ class DeepViT(nn.Module):
         )
 
     def forward(self, images: Tensor, lengths_px: Tensor) -> Tensor:
-        """Return the features of crops; see the class for shapes."""
+        """Return the features of crops; see the class for shapes.
+
+        In evaluation, padding changes nothing: crops of like length then go together, and short ones are
+        spared the padding to the longest.
+        """
+        if self.training or len(images) <= CROPS_AT_ONCE:
+            return self.encoded(images, lengths_px)
+        order = lengths_px.argsort()
+        parts = [
+            self.encoded(images[chunk, :, :, : self.padded_px(lengths_px[chunk[-1]])], lengths_px[chunk])
+            for chunk in order.split(CROPS_AT_ONCE)
+        ]
+        return torch.cat(parts)[order.argsort()]
+
+    def padded_px(self, length_px: Tensor) -> int:
+        """Return the whole patches, in pixels, that hold a crop of ``length_px``; at least one."""
+        patch_px = self.patch_px[1]
+        return max(1, ceil(int(length_px) / patch_px)) * patch_px
+
+    def encoded(self, images: Tensor, lengths_px: Tensor) -> Tensor:
+        """Return the features of crops that are padded alike; arguments as ``forward``."""
         tokens, valid = self.tokens(images, lengths_px)
         for block in self.blocks:
             tokens = block(tokens, valid)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from fploc.models.deepvit import DeepViT, split_and_flatten, valid_columns
+from fploc.models.deepvit import CROPS_AT_ONCE, DeepViT, split_and_flatten, valid_columns
 
 HEIGHT, PATCH = 8, (4, 5)
 
@@ -84,6 +84,30 @@ def test_ink_in_padded_columns_is_not_seen() -> None:
     torch.testing.assert_close(vision(scribbled, lengths_px), vision(images, lengths_px))
     scribbled[0, :, :, :5] = 1.0
     assert not torch.allclose(vision(scribbled, lengths_px)[0], vision(images, lengths_px)[0])
+
+
+@pytest.mark.parametrize("norm", ["batch", "layer", "none"])
+@torch.no_grad()
+def test_crops_that_go_in_several_parts_keep_their_features_and_order(norm: str) -> None:
+    vision = network(norm).double()
+    lengths = torch.randint(0, 41, (3 * CROPS_AT_ONCE + 5,), generator=torch.Generator().manual_seed(4))
+    images, lengths_px = crops(lengths.tolist(), 40)
+    images = images.double()
+    torch.testing.assert_close(vision(images, lengths_px), vision.encoded(images, lengths_px))
+
+
+@torch.no_grad()
+def test_short_crops_are_not_padded_to_the_longest() -> None:
+    vision = network()
+    widths: list[int] = []
+    original = vision.encoded
+    vision.encoded = lambda images, lengths_px: (  # type: ignore[method-assign]
+        widths.append(images.shape[-1]),
+        original(images, lengths_px),
+    )[1]
+    lengths = [40, *[0] * CROPS_AT_ONCE, *[12] * (CROPS_AT_ONCE - 1)]
+    vision(*crops(lengths, 40))
+    assert widths == [PATCH[1], 40]
 
 
 def test_mean_is_over_valid_patches_without_the_class_token() -> None:
