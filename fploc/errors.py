@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 
 class FplocError(Exception):
@@ -18,6 +19,10 @@ class FplocError(Exception):
     def __init__(self, thing: str, *, value: object, expected: str, way_out: str) -> None:
         self.thing, self.value, self.expected, self.way_out = thing, value, expected, way_out
         super().__init__(f"{thing}: found {value}, expected {expected}; {way_out}")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how to make the error again in another process, where subclasses take other arguments."""
+        return _restored, (type(self), self.thing, self.value, self.expected, self.way_out)
 
 
 class BadFileError(FplocError):
@@ -54,3 +59,9 @@ class DownloadError(FplocError):
 
 class MissingArtifactError(FplocError):
     """A trained artifact that has not been made, or was made from other data or settings."""
+
+
+def _restored(kind: type[FplocError], thing: str, value: object, expected: str, way_out: str) -> FplocError:
+    error = kind.__new__(kind)
+    FplocError.__init__(error, thing, value=value, expected=expected, way_out=way_out)
+    return error

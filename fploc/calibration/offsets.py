@@ -101,6 +101,21 @@ class RangeOffsets:
             ) from error
 
 
+@dataclass(frozen=True)
+class SourceRecordings:
+    """Recordings of one source site, to learn from.
+
+    Args:
+        recordings: The recordings.
+        site: The site.
+        plan: Its floor plan; only estimators that look for walls need it.
+    """
+
+    recordings: Sequence[Recording]
+    site: Site
+    plan: FloorPlan | None
+
+
 def constant_offset(text: str) -> float | None:
     """Return the metres that a calibration gives as a number, 0 for ``none``, and None for an estimator.
 
@@ -128,7 +143,12 @@ def constant_offset(text: str) -> float | None:
 def fit_offsets(
     estimator: str, recordings: Sequence[Recording], site: Site, plan: FloorPlan | None
 ) -> RangeOffsets:
-    """Fit range offsets on a source site.
+    """Fit range offsets on one source site; see ``fit_pooled_offsets``."""
+    return fit_pooled_offsets(estimator, [SourceRecordings(recordings, site, plan)])
+
+
+def fit_pooled_offsets(estimator: str, sources: Sequence[SourceRecordings]) -> RangeOffsets:
+    """Fit range offsets on source sites, their readings together.
 
     The error of a reading is its slant range minus the slant distance from the repaired label. The offset is
     the median error over the readings whose straight line crosses no wall (``source-los``), over all readings
@@ -136,9 +156,7 @@ def fit_offsets(
 
     Args:
         estimator: One of ``ESTIMATORS``, or a number of metres, for which nothing is fitted.
-        recordings: Of the source, to learn from.
-        site: The source site.
-        plan: Its floor plan; only estimators that look for walls need it.
+        sources: What to learn from.
 
     Raises:
         FplocError: If the estimator is unknown, the plan it needs is missing, or no reading can be used.
@@ -146,23 +164,33 @@ def fit_offsets(
     constant = constant_offset(estimator)
     if constant is not None:
         return RangeOffsets(estimator, constant)
-    errors_m, columns, positions_m = _range_errors(recordings, site)
-    if estimator != SOURCE_MEDIAN:
-        clear = _crosses_no_wall(estimator, plan, site, positions_m, columns)
-        errors_m, columns = errors_m[clear], columns[clear]
+    parts = [_usable_errors(estimator, one) for one in sources]
+    errors_m = np.concatenate([errors for errors, _ in parts])
     if errors_m.size == 0:
         raise FplocError(
-            f"readings of {site.name} for --calibration {estimator}",
+            f"readings of {', '.join(one.site.name for one in sources)} for --calibration {estimator}",
             value="none",
             expected="ranges with a label, and for line of sight a link that crosses no wall",
             way_out="check the recordings and the plan with `fploc data describe`",
         )
+    macs = np.concatenate([macs for _, macs in parts])
     return RangeOffsets(
         estimator=estimator,
         offset_m=float(np.median(errors_m)),
-        by_mac_m=_medians_by_mac(errors_m, columns, site.macs) if estimator == SOURCE_MAC else {},
-        recordings=tuple(f"{one.site}/{one.device}/{one.name}" for one in recordings),
+        by_mac_m=_medians_by_mac(errors_m, macs) if estimator == SOURCE_MAC else {},
+        recordings=tuple(
+            f"{one.site}/{one.device}/{one.name}" for source in sources for one in source.recordings
+        ),
     )
+
+
+def _usable_errors(estimator: str, source: SourceRecordings) -> tuple[Floats, NDArray[np.str_]]:
+    """Return error (L,) in metres and MAC (L,) of every reading that an estimator looks at."""
+    errors_m, columns, positions_m = _range_errors(source.recordings, source.site)
+    if estimator != SOURCE_MEDIAN:
+        clear = _crosses_no_wall(estimator, source.plan, source.site, positions_m, columns)
+        errors_m, columns = errors_m[clear], columns[clear]
+    return errors_m, np.array(source.site.macs)[columns]
 
 
 def _range_errors(recordings: Sequence[Recording], site: Site) -> tuple[Floats, NDArray[np.int64], Floats]:
@@ -190,14 +218,14 @@ def _crosses_no_wall(
     return line_of_sight(plan, site.positions_m[columns], positions_m)
 
 
-def _medians_by_mac(errors_m: Floats, columns: NDArray[np.int64], macs: Sequence[str]) -> dict[str, float]:
+def _medians_by_mac(errors_m: Floats, macs: NDArray[np.str_]) -> dict[str, float]:
     """Return the median error of each access point with enough readings, metres."""
-    order = np.argsort(columns, kind="stable")
-    present, starts, counts = np.unique(columns[order], return_index=True, return_counts=True)
+    order = np.argsort(macs, kind="stable")
+    present, starts, counts = np.unique(macs[order], return_index=True, return_counts=True)
     groups = np.split(errors_m[order], starts[1:])
     return {
-        macs[column]: float(np.median(group))
-        for column, group, count in zip(present, groups, counts, strict=True)
+        str(mac): float(np.median(group))
+        for mac, group, count in zip(present, groups, counts, strict=True)
         if count >= FEWEST_READINGS_PER_MAC
     }
 

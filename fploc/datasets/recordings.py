@@ -6,7 +6,7 @@ Axes: B recordings, T intervals, A access points (order of ``Site.access_points`
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -56,18 +56,23 @@ class Recording:
 
     def thinned(self, every: int) -> Recording:
         """Return every ``every``-th interval with the original time step: a robot ``every`` times as fast."""
-        keep = slice(None, None, every)
-        return Recording(
-            site=self.site,
-            device=self.device,
-            name=self.name,
-            t_s=self.t_s[: len(self.t_s[keep])],
-            slant_m=self.slant_m[keep],
-            std_m=self.std_m[keep],
-            rss_dbm=self.rss_dbm[keep],
-            heard=self.heard[keep],
-            published_m=self.published_m[keep],
-            repaired_m=self.repaired_m[keep],
+        kept = self._at(slice(None, None, every))
+        return replace(kept, t_s=self.t_s[: len(kept)])
+
+    def where(self, mask: Bools) -> Recording:
+        """Return the intervals of a mask, shape (T,), at their own times."""
+        return self._at(mask)
+
+    def _at(self, kept: slice | Bools) -> Recording:
+        return replace(
+            self,
+            t_s=self.t_s[kept],
+            slant_m=self.slant_m[kept],
+            std_m=self.std_m[kept],
+            rss_dbm=self.rss_dbm[kept],
+            heard=self.heard[kept],
+            published_m=self.published_m[kept],
+            repaired_m=self.repaired_m[kept],
         )
 
 

@@ -13,12 +13,17 @@ from pathlib import Path
 
 import numpy as np
 
-from fploc.calibration.offsets import RangeOffsets, constant_offset, fit_offsets
-from fploc.datasets.packed import read_packed
+from fploc.calibration.offsets import (
+    RangeOffsets,
+    SourceRecordings,
+    constant_offset,
+    fit_pooled_offsets,
+)
+from fploc.datasets.packed import packed_sites, read_packed
 from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError, UnknownNameError
 from fploc.evaluation.metrics import Scores, score
-from fploc.evaluation.protocols import PUBLIC_SOURCE, protocol_of
+from fploc.evaluation.protocols import PUBLIC_SOURCE, protocol_of, validation_site
 from fploc.evaluation.records import Record, finite_or_none
 from fploc.evaluation.revision import running_commit
 from fploc.filters.kalman import HEADLINE_SPEED_MPS, KalmanSettings
@@ -85,13 +90,27 @@ class EvaluationRequest:
 
 
 def source_offsets(request: EvaluationRequest, data_root: Path) -> RangeOffsets:
-    """Return the range offsets of a request, fitted on the training recordings of the protocol's source."""
+    """Return the range offsets of a request, fitted on what its protocol learns from."""
     constant = constant_offset(request.calibration)
     if constant is not None:
         return RangeOffsets(request.calibration, constant)
+    sources = source_recordings(request, data_root)
+    return fit_pooled_offsets(request.calibration, sources)
+
+
+def source_recordings(request: EvaluationRequest, data_root: Path) -> list[SourceRecordings]:
+    """Return the recordings that methods for the target of a request learn from, by site."""
     protocol = protocol_of(request.protocol, request.source)
-    source = read_packed(data_root, protocol.source)
-    return fit_offsets(request.calibration, protocol.training(source), source.site, source.plan)
+    if not protocol.pools:
+        source = read_packed(data_root, protocol.source)
+        return [SourceRecordings(protocol.training(source), source.site, source.plan)]
+    packed = [read_packed(data_root, name) for name in packed_sites(data_root)]
+    target = next(one.site for one in packed if one.site.name == request.site)
+    names = protocol.sources(target, [one.site for one in packed])
+    learned = [name for name in names if name != validation_site(names)]
+    return [
+        SourceRecordings(one.recordings(), one.site, one.plan) for one in packed if one.site.name in learned
+    ]
 
 
 def tracks_of(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import timedelta
 
 import torch
@@ -12,6 +12,7 @@ import torch
 from datamodules.measured import MeasuredDataModule
 from fploc.conf import instantiate
 from fploc.datasets.samples import LabelledIntervals
+from fploc.experiments.plan import SEEN, Learning
 from fploc.experiments.preset import Preset
 from fploc.models.fpdnn import FPDNN, Sight
 from fploc.models.generator import Generator
@@ -21,39 +22,43 @@ STREAMS = 2
 LONG_S = 4 * 3600.0
 
 
-def training_steps(preset: Preset, targets: int) -> dict[str, int]:
+def training_steps(preset: Preset, chains: Sequence[Learning]) -> dict[str, int]:
     """Return how many batches the generator and FPDNN learn from in all trainings of a preset."""
-    epochs, batches = preset.epochs, preset.batches_per_epoch * len(preset.seeds)
+    epochs, batches = preset.epochs, preset.batches_per_epoch
+    new = sum(one.protocol == SEEN for one in chains)
+    passes = new * epochs["fpdnn"] + (len(chains) - new) * epochs["fpdnn_adapted"]
     return {
-        "generator": epochs["generator"] * batches,
-        "fpdnn": STREAMS * (epochs["fpdnn"] + targets * epochs["fpdnn_adapted"]) * batches,
+        "generator": epochs["generator"] * batches * len(preset.seeds),
+        "fpdnn": STREAMS * passes * batches,
     }
 
 
-def virtual_draws(preset: Preset, targets: int) -> int:
+def virtual_draws(preset: Preset, chains: Sequence[Learning]) -> int:
     """Return how many virtual batches the generator draws in all trainings of a preset."""
-    return preset.pool_batches * (1 + targets) * len(preset.seeds)
+    return preset.pool_batches * len(chains)
 
 
-def estimate_seconds(preset: Preset, measured: MeasuredDataModule, targets: int, device: str) -> float:
+def estimate_seconds(
+    preset: Preset, measured: MeasuredDataModule, chains: Sequence[Learning], device: str
+) -> float:
     """Return the time that learning from crops on ``device`` and drawing virtual batches take, seconds.
 
     The GNN, validation and scoring come on top; they are small beside these.
     """
     batch = next(iter(measured.train_dataloader()["measured"]))
-    steps = training_steps(preset, targets)
+    steps = training_steps(preset, chains)
     generator, fpdnn = _generator_loss(preset, batch, device), _fpdnn_loss(preset, batch, device)
     return (
         steps["generator"] * _seconds(lambda: generator().backward())
         + steps["fpdnn"] * _seconds(lambda: fpdnn().backward())
-        + virtual_draws(preset, targets) * _seconds(_generator_loss(preset, batch, "cpu"))
+        + virtual_draws(preset, chains) * _seconds(_generator_loss(preset, batch, "cpu"))
     )
 
 
-def announce_duration(preset: Preset, measured: MeasuredDataModule, targets: int) -> None:
+def announce_duration(preset: Preset, measured: MeasuredDataModule, chains: Sequence[Learning]) -> None:
     """Say on stderr how long the trainings of a preset will take from their start."""
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    seconds = estimate_seconds(preset, measured, targets, device)
+    seconds = estimate_seconds(preset, measured, chains, device)
     advice = "; a GPU is advised" if device == "cpu" and seconds > LONG_S else ""
     told = {"cuda": "this GPU", "cpu": "this CPU"}[device]
     duration = timedelta(seconds=round(seconds))

@@ -1,18 +1,35 @@
-"""Presets of ``fploc reproduce``: conf/preset/<name>.yaml."""
+"""Presets of ``fploc reproduce`` (conf/preset/) and what is changed in them one at a time (conf/ablation/)."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from fploc.conf import instantiate, read_conf
-from fploc.errors import BadFileError
+from fploc.errors import BadFileError, UnknownNameError
 
-PRESETS = ("smoke", "default", "full", "paper")
+PRESETS = ("smoke", "default", "full", "published", "paper")
 NETWORKS = ("generator", "gnn", "fpdnn")
 TRAININGS = (*NETWORKS, "gnn_adapted", "fpdnn_adapted")
+VARIANT = "--"
+"""Between the name of a preset and that of an ablation: ``full--bare-distance``."""
+SCORED_ONLY = (
+    "seeds",
+    "protocols",
+    "methods",
+    "ablations",
+    "ablation_targets",
+    "ablation_seeds",
+    "plans",
+    "thins",
+)
+"""No trained network depends on what else is trained, or on how it is scored."""
+
+Streams = Literal["both", "measured", "virtual"]
+NetworkChanges = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -24,7 +41,7 @@ class Preset:
         seeds: One training for each.
         networks: Name in conf/model/ of ``generator``, ``gnn`` and ``fpdnn``.
         solver: ``lls`` (published) or ``nls``, behind FPDNN.
-        targets: Sites of the protocol ``zero-shot``.
+        protocols: Sites of each protocol.
         methods: Scored at every site, in the order of the tables.
         calibration: Range offsets of learned methods.
         labels: Labels to learn from.
@@ -34,14 +51,22 @@ class Preset:
         epochs: Of each training.
         learning_rates: Of each network.
         random_layout_share: Share of virtual batches with access points elsewhere.
-        thin: Every so many-th interval is evaluated.
+        thins: Every so many-th interval is evaluated; the first is the headline.
+        plans: Plans that ``gnn-fpdnn`` is scored with beside the real one, zero-shot.
+        ablations: Names in conf/ablation/, each trained and scored zero-shot at ``ablation_targets``.
+        ablation_targets: Sites of the ablations.
+        ablation_seeds: Of ``seeds``, those that ablations are trained with.
+        streams: What networks learn from: measured intervals, virtual ones, or both.
+        sight_shares: Shares of training links that FPDNN sees the crop of, its length alone, and nothing.
+        augmentation: Strengths of ``fploc.floorplan.augmentation.CropAugmentation``; empty for its own.
+        network_changes: What differs from conf/model/, by network.
     """
 
     name: str
     seeds: tuple[int, ...]
     networks: dict[str, str]
     solver: Literal["lls", "nls"]
-    targets: tuple[str, ...]
+    protocols: dict[str, tuple[str, ...]]
     methods: tuple[str, ...]
     calibration: str
     labels: Literal["published", "repaired"]
@@ -51,36 +76,111 @@ class Preset:
     epochs: dict[str, int]
     learning_rates: dict[str, float]
     random_layout_share: float
-    thin: int
+    thins: tuple[int, ...] = (1,)
+    plans: tuple[str, ...] = ()
+    ablations: tuple[str, ...] = ()
+    ablation_targets: tuple[str, ...] = ()
+    ablation_seeds: tuple[int, ...] = ()
+    streams: Streams = "both"
+    sight_shares: tuple[float, float, float] = (0.8, 0.1, 0.1)
+    augmentation: dict[str, float] = field(default_factory=dict)
+    network_changes: NetworkChanges = field(default_factory=dict)
 
     @property
     def fingerprint(self) -> str:
-        """Hash over everything that the results depend on, network configurations included.
-
-        No result depends on which methods stand beside it: a longer list trains nothing anew.
-        """
-        described = asdict(self) | {
-            "conf": {name: read_conf("model", file) for name, file in self.networks.items()}
-        }
-        del described["methods"]
+        """Hash over everything that trained networks depend on, their configurations included."""
+        described = asdict(self) | {"conf": self.network_specs}
+        for name in SCORED_ONLY:
+            del described[name]
         return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def network_specs(self) -> dict[str, dict[str, Any]]:
         """``class_path`` and ``init_args`` of each network."""
-        return {name: read_conf("model", file) for name, file in self.networks.items()}
+        return {
+            name: merged(read_conf("model", file), self.network_changes.get(name, {}))
+            for name, file in self.networks.items()
+        }
+
+    def trains_like(self, other: Preset) -> bool:
+        """Return whether both train the same networks on the same streams."""
+        return (
+            replace(self, name="", solver="nls", network_changes={})
+            == replace(other, name="", solver="nls", network_changes={})
+            and self.network_specs == other.network_specs
+        )
+
+    def variant(self, ablation: str) -> Preset:
+        """Return the preset with the change of an ablation; the preset itself for an empty name."""
+        if not ablation:
+            return self
+        change = read_ablation(ablation)
+        return replace(
+            self,
+            name=f"{self.name}{VARIANT}{ablation}",
+            network_changes=change.networks,
+            **{
+                key: value
+                for key in ("solver", "streams", "sight_shares", "augmentation")
+                if (value := getattr(change, key)) is not None
+            },
+        )
+
+
+@dataclass(frozen=True)
+class Ablation:
+    """One change to a preset.
+
+    Args:
+        reason: What it shows, in one sentence.
+        networks: What differs from conf/model/, by network.
+        solver: As in ``Preset``; None leaves it.
+        streams: As in ``Preset``; None leaves it.
+        sight_shares: As in ``Preset``; None leaves it.
+        augmentation: As in ``Preset``; None leaves it.
+    """
+
+    reason: str
+    networks: NetworkChanges = field(default_factory=dict)
+    solver: Literal["lls", "nls"] | None = None
+    streams: Streams | None = None
+    sight_shares: tuple[float, float, float] | None = None
+    augmentation: dict[str, float] | None = None
+
+
+def read_ablation(name: str) -> Ablation:
+    """Return the ablation ``name``.
+
+    Raises:
+        UnknownNameError: If there is no such ablation.
+        BadFileError: If a key is missing, unknown or holds the wrong kind of value.
+    """
+    values = read_conf("ablation", name)
+    # Descriptions of classes stay what they are: they are merged with others before anything is made of them.
+    networks = values.pop("networks", {})
+    if not isinstance(networks, dict) or not set(networks) <= set(NETWORKS):
+        raise BadFileError(
+            f"conf/ablation/{name}.yaml",
+            "networks",
+            value=networks,
+            expected=f"changes of {', '.join(NETWORKS)}",
+            way_out="correct the file",
+        )
+    spec = {"class_path": f"{Ablation.__module__}.{Ablation.__qualname__}", "init_args": values}
+    return replace(instantiate(Ablation, spec, source=f"conf/ablation/{name}.yaml"), networks=networks)
 
 
 def read_preset(name: str) -> Preset:
-    """Return the preset ``name``.
+    """Return the preset ``name``, or a variant of one, ``full--bare-distance``.
 
     Raises:
-        UnknownNameError: If there is no such preset.
+        UnknownNameError: If there is no such preset or ablation.
         BadFileError: If a key is missing, unknown or holds the wrong kind of value.
     """
-    values = read_conf("preset", name)
-    spec = {"class_path": f"{Preset.__module__}.{Preset.__qualname__}", "init_args": values | {"name": name}}
-    preset = instantiate(Preset, spec, source=f"conf/preset/{name}.yaml")
+    own, _, ablation = name.partition(VARIANT)
+    values = read_conf("preset", own)
+    spec = {"class_path": f"{Preset.__module__}.{Preset.__qualname__}", "init_args": values | {"name": own}}
+    preset = instantiate(Preset, spec, source=f"conf/preset/{own}.yaml")
     for key, expected in {
         "networks": NETWORKS,
         "learning_rates": NETWORKS,
@@ -89,10 +189,33 @@ def read_preset(name: str) -> Preset:
         found = getattr(preset, key)
         if set(found) != set(expected):
             raise BadFileError(
-                f"conf/preset/{name}.yaml",
+                f"conf/preset/{own}.yaml",
                 key,
                 value=", ".join(found),
                 expected=", ".join(expected),
                 way_out="name each of these once",
             )
-    return preset
+    return preset.variant(ablation)
+
+
+def check_preset(name: str) -> None:
+    """Raise where there is no preset ``name``, for those who need none of its contents.
+
+    Raises:
+        UnknownNameError: Listing those there are.
+    """
+    own, _, ablation = name.partition(VARIANT)
+    if own not in PRESETS:
+        raise UnknownNameError("--preset", name, known=list(PRESETS), way_out="choose one of these")
+    if ablation:
+        read_ablation(ablation)
+
+
+def merged(spec: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return ``spec`` with ``changes``, mappings within mappings merged."""
+    inner = {
+        key: merged(spec[key], value)
+        for key, value in changes.items()
+        if isinstance(value, Mapping) and isinstance(spec.get(key), Mapping)
+    }
+    return dict(spec) | dict(changes) | inner

@@ -9,15 +9,24 @@ from pathlib import Path
 from fploc.artifacts import Artifact, ArtifactKey, load_artifact
 from fploc.calibration.offsets import RangeOffsets
 from fploc.datasets.packed import PackedSite, packed_sites, read_packed
-from fploc.errors import FplocError, UnknownNameError
-from fploc.evaluation.evaluate import EvaluationRequest, evaluate, source_offsets
-from fploc.evaluation.protocols import PUBLIC_SOURCE, protocol_of
+from fploc.errors import UnknownNameError
+from fploc.evaluation.evaluate import (
+    EvaluationRequest,
+    evaluate,
+    records_of,
+    source_offsets,
+    tracks_of,
+)
+from fploc.evaluation.multi_device import multi_device_records
+from fploc.evaluation.protocols import PUBLIC_SOURCE, EvaluationProtocol, Targets, Tested, protocol_of
 from fploc.evaluation.records import Record
-from fploc.experiments.preset import PRESETS
+from fploc.experiments.plan import LEARNED_METHODS
+from fploc.experiments.preset import VARIANT, check_preset
 from fploc.experiments.training import trained_from
 from fploc.filters.kalman import KalmanSettings
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.raster import PlanRaster
+from fploc.localizer import Track
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.interface import Calibrated, Method
@@ -27,9 +36,9 @@ from fploc.models.fpdnn import Sight
 from fploc.solvers.linear import solve_linear
 from fploc.solvers.nonlinear import solve_nonlinear
 
-LEARNED_METHODS = ("gnn", "gnn-fpdnn")
 METHODS = (*GEOMETRIC_METHODS, *LEARNED_METHODS)
 DEFAULT_CALIBRATION = "source-los"
+BEFORE_TUNING = "before fine-tuning"
 PLANS = {"real": Sight.PLAN, "blank": Sight.PLAN, "length": Sight.LENGTH, "none": Sight.NOTHING}
 """What FPDNN is given under each value of --plan that names no site."""
 SOLVERS: dict[str, RangeSolver] = {"lls": solve_linear, "nls": solve_nonlinear}
@@ -58,7 +67,7 @@ def data_hash(*packed: PackedSite) -> str:
 def reproduce_command(preset: str, target: str) -> str:
     """Return the command that makes the artifacts of a preset for a target, or for the source alone."""
     sites = "" if target == PUBLIC_SOURCE else f" --sites {target}"
-    return f"fploc reproduce --preset {preset}{sites}"
+    return f"fploc reproduce --preset {preset.partition(VARIANT)[0]}{sites}"
 
 
 def artifacts_folder(runs: Path) -> Path:
@@ -95,12 +104,12 @@ def ready_method(
         return ReadyMethod(geometric_method(name), offsets, artifact=None)
     protocol = protocol_of(request.protocol, request.source)
     protocol.check_target(request.site)
-    source, target = read_packed(data_root, protocol.source), read_packed(data_root, request.site)
-    key = ArtifactKey(name, protocol.name, request.site, request.preset, request.seed)
+    target = read_packed(data_root, request.site)
+    key = ArtifactKey(name, protocol.artifacts_of(request.site), request.site, request.preset, request.seed)
     artifact = load_artifact(
         artifacts_folder(runs),
         key,
-        data_hash=data_hash(source, target),
+        data_hash=data_hash(*_learned_and_tested(protocol, target, data_root)),
         command=reproduce_command(request.preset, request.site),
     )
     offsets = offsets_of(artifact) if calibration is None else source_offsets(request, data_root)
@@ -112,6 +121,16 @@ def ready_method(
         offsets,
         artifact=str(key.folder(Path())),
     )
+
+
+def _learned_and_tested(
+    protocol: EvaluationProtocol, target: PackedSite, data_root: Path
+) -> list[PackedSite]:
+    """Return the packed sites that networks for ``target`` depend on, itself last."""
+    there = packed_sites(data_root) if protocol.pools else [protocol.source]
+    packed = {name: read_packed(data_root, name) for name in there}
+    names = protocol.sources(target.site, [one.site for one in packed.values()])
+    return [*(packed[name] for name in names if name != target.site.name), target]
 
 
 def check_method(name: str) -> None:
@@ -201,11 +220,45 @@ def answer(
     """
     check_method(name)
     request.check()
-    if request.preset not in PRESETS:
-        raise FplocError(
-            "--preset", value=request.preset, expected=", ".join(PRESETS), way_out="choose one of these"
-        )
+    check_preset(request.preset)
     check_plan(request.plan, data_root)
+    return scored(name, request, calibration, data_root, runs).records
+
+
+@dataclass(frozen=True)
+class Scored:
+    """What a method made of a target.
+
+    Args:
+        records: The scores.
+        tracks: What they were made from; empty where two devices were localized at once.
+    """
+
+    records: list[Record]
+    tracks: list[Track]
+
+
+def scored(
+    name: str, request: EvaluationRequest, calibration: str | None, data_root: Path, runs: Path
+) -> Scored:
+    """Run and score a method; arguments and errors as ``ready_method``.
+
+    Where networks were tuned for the target, those before the tuning are scored beside them.
+    """
     ready = ready_method(name, request, calibration, data_root, runs)
     request = replace(request, calibration=ready.offsets.estimator)
-    return evaluate(ready.method, request, data_root, offsets=ready.offsets, artifact=ready.artifact)
+    protocol = protocol_of(request.protocol, request.source)
+    if protocol.targets is Targets.LINKED:
+        return Scored(multi_device_records(name, ready, request, data_root), tracks=[])
+    tracks = tracks_of(ready.method, request, data_root, offsets=ready.offsets)
+    records = records_of(name, request, tracks, artifact=ready.artifact)
+    if protocol.tested is Tested.SECOND_PART and name in LEARNED_METHODS:
+        untuned = replace(request, protocol=str(protocol.starts_from(request.site)))
+        before = ready_method(name, untuned, calibration, data_root, runs)
+        records += [
+            replace(one, condition=BEFORE_TUNING)
+            for one in evaluate(
+                before.method, request, data_root, offsets=before.offsets, artifact=before.artifact
+            )
+        ]
+    return Scored(records, tracks)

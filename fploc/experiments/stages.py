@@ -1,16 +1,30 @@
-"""Stages of a long run: each is done once, and again only when something that it depends on has changed."""
+"""Stages of a long run: each is done once, and again only when something that it depends on has changed.
+
+Stages that do not take each other's results can run side by side in several processes.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
+import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 
 from fploc.files import whole
+
+PATIENCE_S = 10.0
+"""How long an interrupted process may take to clean up."""
+
+RunByName = Callable[[str], None]
+"""Runs the stage of a name in another process: it can be pickled."""
 
 
 @dataclass(frozen=True)
@@ -54,24 +68,79 @@ class StageBook:
             return False
         return bool(json.loads(file.read_text())["key"] == stage.key)
 
+    def left(self, stages: Sequence[Stage]) -> list[Stage]:
+        """Return the stages that must run: not done, or after one that must."""
+        left: dict[str, Stage] = {}
+        for stage in stages:
+            if not self.is_done(stage) or any(name in left for name in stage.after):
+                left[stage.name] = stage
+        return list(left.values())
+
+    def seconds(self, name: str) -> float:
+        """Return how long the finished stage ``name`` took."""
+        return float(json.loads((self.folder / f"{name}.json").read_text())["seconds"])
+
     def run(self, stages: Sequence[Stage]) -> None:
         """Run those of ``stages`` that are not done, in order, and say on stderr what happens."""
-        for number, stage in enumerate(stages, start=1):
-            label = f"[{number}/{len(stages)}] {stage.name}"
-            if self.is_done(stage):
-                _say(f"{label}: done before")
-                continue
-            _say(f"{label} …")
-            self._forget([later for later in stages if stage.name in later.after])
+        left = self._announced(stages)
+        labels = _labels(stages)
+        for stage in left:
+            _say(f"{labels[stage.name]} …")
+            self._forget(stage, stages)
             started = time.perf_counter()
             stage.run()
-            seconds = time.perf_counter() - started
-            self._write(stage, seconds)
-            _say(f"{label}: {seconds:.1f} s")
+            self._finish(stage, time.perf_counter() - started, labels)
 
-    def _forget(self, stages: Sequence[Stage]) -> None:
+    def run_side_by_side(self, stages: Sequence[Stage], workers: int, run_by_name: RunByName) -> None:
+        """Run those of ``stages`` that are not done in ``workers`` processes.
+
+        Args:
+            stages: In an order in which they could run one after the other.
+            workers: Number of processes.
+            run_by_name: Runs one stage in such a process.
+        """
+        waiting = {stage.name: stage for stage in self._announced(stages)}
+        if not waiting:
+            return
+        labels = _labels(stages)
+        running: dict[Future[float], Stage] = {}
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_process)
+        try:
+            while waiting or running:
+                unfinished = set(waiting) | {stage.name for stage in running.values()}
+                for stage in list(waiting.values()):
+                    if len(running) < workers and not unfinished.intersection(stage.after):
+                        _say(f"{labels[stage.name]} …")
+                        self._forget(stage, stages)
+                        running[pool.submit(_timed, run_by_name, stage.name)] = waiting.pop(stage.name)
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in done:
+                    self._finish(running[future], future.result(), labels)
+                    del running[future]
+        except BaseException:
+            _interrupt_children()
+            raise
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def _announced(self, stages: Sequence[Stage]) -> list[Stage]:
+        left = self.left(stages)
+        labels = _labels(stages)
         for stage in stages:
-            self._file(stage).unlink(missing_ok=True)
+            if stage not in left:
+                _say(f"{labels[stage.name]}: done before")
+        return left
+
+    def _finish(self, stage: Stage, seconds: float, labels: dict[str, str]) -> None:
+        self._write(stage, seconds)
+        _say(f"{labels[stage.name]}: {seconds:.1f} s")
+
+    def _forget(self, stage: Stage, stages: Sequence[Stage]) -> None:
+        """Take what takes the result of ``stage`` as not done: an interruption must not leave it standing."""
+        for later in stages:
+            if stage.name in later.after:
+                self._file(later).unlink(missing_ok=True)
 
     def _write(self, stage: Stage, seconds: float) -> None:
         file = self._file(stage)
@@ -81,6 +150,43 @@ class StageBook:
 
     def _file(self, stage: Stage) -> Path:
         return self.folder / f"{stage.name}.json"
+
+
+def _labels(stages: Sequence[Stage]) -> dict[str, str]:
+    return {stage.name: f"[{number}/{len(stages)}] {stage.name}" for number, stage in enumerate(stages, 1)}
+
+
+def _timed(run_by_name: RunByName, name: str) -> float:
+    signal.signal(signal.SIGINT, _interrupt_once)
+    started = time.perf_counter()
+    run_by_name(name)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return time.perf_counter() - started
+
+
+def _prepare_process() -> None:
+    """Keep progress bars of several processes from writing over each other, and idle ones from complaining."""
+    os.environ["TTY_COMPATIBLE"] = "0"
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _interrupt_once(number: int, frame: FrameType | None) -> None:
+    """Let the first interruption stop the stage, and none its cleaning up."""
+    signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
+def _interrupt_children() -> None:
+    """Stop the processes of this one, first as a person would."""
+    children = multiprocessing.active_children()
+    for child in children:
+        if child.pid is not None:
+            os.kill(child.pid, signal.SIGINT)
+    until = time.monotonic() + PATIENCE_S
+    for child in children:
+        child.join(max(0.0, until - time.monotonic()))
+        if child.is_alive():
+            child.terminate()
 
 
 def _say(text: str) -> None:

@@ -22,10 +22,12 @@ from lightning.pytorch.loggers import Logger
 from datamodules.measured import MeasuredDataModule
 from datamodules.synthetic import SyntheticDataModule
 from fploc.artifacts import Artifact, ArtifactKey
+from fploc.calibration.offsets import RangeOffsets
 from fploc.conf import instantiate
 from fploc.datasets.packed import PackedSite
 from fploc.datasets.recordings import Recording
 from fploc.experiments.preset import Preset
+from fploc.floorplan.augmentation import CropAugmentation
 from fploc.models.fpdnn import FPDNN
 from fploc.models.generator import Generator
 from fploc.models.gnn import GNN
@@ -146,64 +148,108 @@ def synthetic_data(site: VirtualSite, preset: Preset, seed: int) -> SyntheticDat
     return synthetic
 
 
+@dataclass(frozen=True)
+class TrainingData:
+    """What a chain learns from.
+
+    Args:
+        streams: Loaders of training batches, by name.
+        validation: Loader of what validates.
+        offsets: Range offsets that all ranges are behind.
+        recordings: Measured recordings in the streams, as ``site/name``.
+    """
+
+    streams: Mapping[str, object]
+    validation: object
+    offsets: RangeOffsets
+    recordings: tuple[str, ...]
+
+
 def train_chain(
     preset: Preset,
-    measured: MeasuredDataModule,
-    synthetic: SyntheticDataModule,
+    data: TrainingData,
     seed: int,
     *,
     start: Trained | None,
+    coarse: Trained | None,
     loggers: Loggers,
     folder: Path,
 ) -> Trained:
-    """Train GNN and FPDNN on measured and virtual intervals.
+    """Train GNN and FPDNN.
 
     Args:
         preset: Sizes of the training.
-        measured: The source's recordings.
-        synthetic: A virtual site: the source's at first, a target's where ``start`` is given.
+        data: What to learn from.
         seed: Of initialisation, jitter and turns.
         start: Networks to go on from; None for new ones.
+        coarse: Whose GNN to take as it is; None to train one.
         loggers: Where the metrics of each network go.
         folder: Lightning's working folder.
     """
     pl.seed_everything(seed, verbose=False)
-    streams = measured.streams(seed) | synthetic.train_dataloader()
-    validation = measured.val_dataloader()
-    specs = preset.network_specs
-    suffix = "" if start is None else "_adapted"
-    gnn = instantiate(GNN, specs["gnn"]) if start is None else copy.deepcopy(start.gnn).train()
-    gnn_task = GNNTask(gnn, learning_rate=preset.learning_rates["gnn"])
-    gnn_metrics = fit(
-        gnn_task,
-        streams,
-        validation,
-        epochs=preset.epochs[f"gnn{suffix}"],
-        logger=loggers("gnn"),
+    if coarse is None:
+        gnn, variance_m2 = train_gnn(preset, data, start=start, logger=loggers("gnn"), folder=folder)
+    else:
+        gnn, variance_m2 = coarse.gnn, coarse.variance_m2
+    fpdnn, sigma_m = train_fpdnn(
+        preset, data, variance_m2**0.5, start=start, logger=loggers("fpdnn"), folder=folder
+    )
+    return Trained(gnn, fpdnn, variance_m2, sigma_m)
+
+
+def train_gnn(
+    preset: Preset, data: TrainingData, *, start: Trained | None, logger: Logger | None, folder: Path
+) -> tuple[GNN, float]:
+    """Train the GNN and return it with the variance of its positions per axis, square metres."""
+    gnn = instantiate(GNN, preset.network_specs["gnn"]) if start is None else copy.deepcopy(start.gnn).train()
+    metrics = fit(
+        GNNTask(gnn, learning_rate=preset.learning_rates["gnn"]),
+        data.streams,
+        data.validation,
+        epochs=preset.epochs["gnn" if start is None else "gnn_adapted"],
+        logger=logger,
         folder=folder,
     )
-    variance_m2 = gnn_metrics["val/loss"] / 2.0
-    fpdnn = instantiate(FPDNN, specs["fpdnn"]) if start is None else copy.deepcopy(start.fpdnn).train()
-    fpdnn_task = FPDNNTask(
+    return gnn, metrics["val/loss"] / 2.0
+
+
+def train_fpdnn(
+    preset: Preset,
+    data: TrainingData,
+    jitter_m: float,
+    *,
+    start: Trained | None,
+    logger: Logger | None,
+    folder: Path,
+) -> tuple[FPDNN, float]:
+    """Train FPDNN on positions off by ``jitter_m`` per axis; return it and its RMSE of distances, metres."""
+    fpdnn = (
+        instantiate(FPDNN, preset.network_specs["fpdnn"])
+        if start is None
+        else copy.deepcopy(start.fpdnn).train()
+    )
+    task = FPDNNTask(
         fpdnn,
-        jitter_m=variance_m2**0.5,
+        jitter_m=jitter_m,
         learning_rate=preset.learning_rates["fpdnn"],
+        augmentation=CropAugmentation(**preset.augmentation),
+        sight_shares=preset.sight_shares,
     )
-    fpdnn_metrics = fit(
-        fpdnn_task,
-        streams,
-        validation,
-        epochs=preset.epochs[f"fpdnn{suffix}"],
-        logger=loggers("fpdnn"),
+    metrics = fit(
+        task,
+        data.streams,
+        data.validation,
+        epochs=preset.epochs["fpdnn" if start is None else "fpdnn_adapted"],
+        logger=logger,
         folder=folder,
     )
-    return Trained(gnn, fpdnn, variance_m2, fpdnn_metrics["val/loss"] ** 0.5)
+    return fpdnn, metrics["val/loss"] ** 0.5
 
 
 def chain_artifacts(
     trained: Trained,
     preset: Preset,
-    measured: MeasuredDataModule,
+    data: TrainingData,
     *,
     protocol: str,
     target: str,
@@ -212,10 +258,8 @@ def chain_artifacts(
     command: str,
 ) -> list[Artifact]:
     """Return the artifacts of ``gnn`` and ``gnn-fpdnn`` for a target."""
-    assert measured.offsets is not None, "setup() comes first"
-    recordings = tuple(f"{one.site}/{one.name}" for one in measured.recordings("train"))
     constants: dict[str, Any] = {
-        "offsets": asdict(measured.offsets),
+        "offsets": asdict(data.offsets),
         "variance_m2": trained.variance_m2,
         "sigma_m": trained.sigma_m,
         "solver": preset.solver,
@@ -231,7 +275,7 @@ def chain_artifacts(
             networks=parts,
             constants=constants,
             data_hash=data_hash,
-            recordings=recordings,
+            recordings=data.recordings,
             command=command,
         )
         for method, parts in networks.items()

@@ -26,23 +26,23 @@ class World:
     """Sites to learn from and to test on.
 
     Args:
-        source: Packed site that everything is learned on.
-        targets: Packed sites that are tested zero-shot.
+        source: Packed site that zero-shot methods learn on.
+        others: The other packed sites.
         made_up: True where the buildings are made up.
     """
 
     source: str
-    targets: tuple[str, ...]
+    others: tuple[str, ...]
     made_up: bool
 
 
-def prepare_world(data_root: Path, given: Path | None, targets: Sequence[str]) -> World:
-    """Get the data of the source and of ``targets`` and pack them; made-up buildings where there is no way.
+def prepare_world(data_root: Path, given: Path | None, others: Sequence[str]) -> World:
+    """Get the data of the source and of ``others`` and pack them; made-up buildings where there is no way.
 
     Raises:
         FplocError: If a named source is unusable, or a file is not what it should be.
     """
-    sites = [PUBLIC_SOURCE, *targets]
+    sites = list(dict.fromkeys([PUBLIC_SOURCE, *others]))
     try:
         source = resolve_source(data_root, given, sites)
     except UnreachableError as error:
@@ -60,7 +60,7 @@ def prepare_world(data_root: Path, given: Path | None, targets: Sequence[str]) -
         _say(f"skipped, since {source} has no recording of them: {', '.join(absent)}")
     for site in track(present, "build"):
         build_sites(source, data_root, [site])
-    return World(PUBLIC_SOURCE, tuple(site for site in targets if site in present), made_up=False)
+    return World(PUBLIC_SOURCE, tuple(site for site in present if site != PUBLIC_SOURCE), made_up=False)
 
 
 def _no_data_notice(reason: str) -> str:
