@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 from fploc.plots.results import MADE_UP
@@ -13,6 +14,8 @@ from fploc.plots.results import MADE_UP
 Floats = NDArray[np.float64]
 
 WIDTH_IN = 8.0
+NARROWEST_IN = 5.0
+LARGEST_PANEL_IN = 2.2
 OPACITY = 0.65
 SMALLEST_RANGE = 1e-6
 
@@ -40,8 +43,12 @@ def plot_attention(
         made_up: True where the building is made up: the figure says so.
     """
     height_m, length_m = (side / pixels_per_metre for side in crop.shape)
-    panel_in = max(0.9, WIDTH_IN * 0.8 * height_m / length_m)
-    figure = Figure(figsize=(WIDTH_IN, (panel_in + 0.5) * (1 + len(attention)) + 0.7), layout="constrained")
+    panel_in = min(LARGEST_PANEL_IN, max(0.9, WIDTH_IN * 0.8 * height_m / length_m))
+    width_in = min(WIDTH_IN, max(NARROWEST_IN, panel_in * length_m / height_m / 0.8))
+    figure = Figure(
+        figsize=(width_in, (panel_in + 0.5) * (1 + len(attention)) + 0.7),
+        layout=ConstrainedLayoutEngine(w_pad=0.12),
+    )
     panels = figure.subplots(1 + len(attention), 1, sharex=True, squeeze=False)[:, 0]
     for axes in panels:
         axes.imshow(
@@ -74,7 +81,7 @@ def plot_attention(
         axes.set_title(name, fontsize=10)
         figure.colorbar(image, ax=axes, label="attention", fraction=0.04, pad=0.02)
     for axes in panels:
-        axes.set(xlim=(0.0, length_m), ylim=(-height_m / 2, height_m / 2), aspect="equal")
+        axes.set(xlim=(0.0, length_m), ylim=(-height_m / 2, height_m / 2), aspect="equal", anchor="W")
     panels[-1].set_xlabel("along the link [m]")
     figure.suptitle(f"{title} ({MADE_UP})" if made_up else title)
     return figure

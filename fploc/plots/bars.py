@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from fploc.plots.palette import colour, hatch
 from fploc.plots.results import MADE_UP
 
 GROUP_WIDTH = 0.8
@@ -59,7 +60,10 @@ def plot_rmse_bars(rows: Sequence[RmseRow], title: str, *, made_up: bool = False
             [float(np.mean(values)) if values else np.nan for values in seeds],
             width=0.9 * width,
             yerr=[float(np.std(values, ddof=1)) if len(values) > 1 else np.nan for values in seeds],
-            color=f"C{index}",
+            color=colour(index),
+            hatch=hatch(index),
+            edgecolor="white",
+            ecolor="black",
             label=method,
         )
         paper += dict.fromkeys(

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.raster import CropSettings, PlanRaster
+from fploc.plots.palette import AP_COLOUR
 from fploc.plots.plan_axes import draw_plan
 from fploc.plots.results import MADE_UP
 from fploc.sites.site import Site
 
 VIEW_MARGIN_M = 3.0
 STRIP_COLOUR = "#0072B2"
-AP_COLOUR = "crimson"
 DEVICE_COLOUR = "#E69F00"
 LARGEST_HEIGHT_IN = 5.5
 WIDTH_IN = 8.0

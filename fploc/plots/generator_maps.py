@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fploc.floorplan.grid import PlaceGrid
 from fploc.floorplan.plan import FloorPlan
+from fploc.plots.palette import AP_COLOUR
 from fploc.plots.plan_axes import draw_plan
 from fploc.plots.results import MADE_UP
 from fploc.sites.site import Site
@@ -88,7 +89,7 @@ def plot_generator_maps(
         )
         axes.plot(
             access_point.x_m, access_point.y_m, "*",
-            color="crimson", markeredgecolor="white", markersize=14, zorder=3,
+            color=AP_COLOUR, markeredgecolor="white", markersize=14, zorder=3,
         )  # fmt: skip
         heard = np.isfinite(of_one).any()
         axes.set_title(access_point.name if heard else f"{access_point.name}: nothing here", fontsize=10)

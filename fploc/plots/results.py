@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fploc.floorplan.plan import FloorPlan
+from fploc.plots.palette import AP_COLOUR, TRUTH_COLOUR, colour, line_style
+from fploc.plots.plan_axes import draw_plan
 from fploc.sites.site import Site
 
 Floats = NDArray[np.float64]
@@ -30,13 +32,16 @@ def plot_cdf(errors_m: Mapping[str, Floats], title: str, *, made_up: bool = Fals
     for index, (name, errors) in enumerate(errors_m.items()):
         ordered = np.sort(errors[np.isfinite(errors)])
         shares = np.arange(1, len(ordered) + 1) / max(len(ordered), 1)
-        axes.plot(ordered, shares, label=name, color=f"C{index}", linewidth=1.8)
+        axes.plot(
+            ordered, shares, label=name, color=colour(index), linestyle=line_style(index), linewidth=1.8
+        )
     axes.set(
         xlim=(0, LARGEST_ERROR_M), ylim=(0, 1), xlabel="localization error [m]", ylabel="share of intervals"
     )
     axes.set_title(f"{title} ({MADE_UP})" if made_up else title)
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower right")
+    if errors_m:
+        axes.legend(loc="lower right")
     return figure
 
 
@@ -52,16 +57,14 @@ def plot_tracks(
         tracks_m: Estimates by name, shape (T, 2) each, metres; NaN where there is none.
         title: Of the figure.
     """
-    height, width = plan.grey.shape
-    (left, top), (right, bottom) = plan.georeference.to_metres([[-0.5, -0.5], [width - 0.5, height - 0.5]])
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     axes = figure.subplots()
-    axes.imshow(plan.grey, cmap="gray", extent=(left, right, bottom, top), alpha=0.55, vmin=0, vmax=255)
+    draw_plan(axes, plan)
     for index, (name, track) in enumerate(tracks_m.items()):
-        axes.plot(*track.T, ".", markersize=3, color=f"C{index}", label=name, alpha=0.6)
-    axes.plot(*truth_m.T, color="black", linewidth=1.4, label="ground truth")
+        axes.plot(*track.T, ".", markersize=3, color=colour(index), label=name, alpha=0.6)
+    axes.plot(*truth_m.T, color=TRUTH_COLOUR, linewidth=1.4, label="ground truth")
     axes.plot(
-        *site.positions_m.T, "*", color="crimson", markersize=9, label="access points", linestyle="none"
+        *site.positions_m.T, "*", color=AP_COLOUR, markersize=9, label="access points", linestyle="none"
     )
     seen = np.concatenate([site.positions_m, truth_m[np.isfinite(truth_m).all(axis=1)]])
     low, high = seen.min(axis=0) - 4.0, seen.max(axis=0) + 4.0

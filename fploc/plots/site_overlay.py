@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fploc.floorplan.plan import FloorPlan
+from fploc.plots.palette import colour as colour_of
 from fploc.sites.site import Site
 
-# Colour-blind safe (Okabe and Ito 2008); none is the colour of walls or access points.
-_PATH_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 _WALL_COLOUR = "#222222"
 _LINE_COLOUR = "#9a9a9a"
 _AP_COLOUR = "#B22222"
@@ -51,7 +50,9 @@ def plot_site_overlay(plan: FloorPlan, site: Site, paths: Mapping[str, NDArray[n
     axes.imshow(_coloured(plan), extent=tuple(edges), origin="upper", interpolation="antialiased")
     # The first is the widest: of paths on one line, each still shows at the rims of the next.
     widths = np.linspace(1.4 * max(len(known), 1), 1.4, len(known))
-    for (label, path), colour, width in zip(known.items(), _cycled(len(known)), widths, strict=True):
+    for (label, path), colour, width in zip(
+        known.items(), map(colour_of, range(len(known))), widths, strict=True
+    ):
         axes.plot(*path.T, color=colour, linewidth=width, alpha=0.85, label=label, zorder=3)
         if len(path):
             axes.plot(*path[0], marker="o", color=colour, markeredgecolor="white", markersize=7, zorder=4)
@@ -65,7 +66,7 @@ def plot_site_overlay(plan: FloorPlan, site: Site, paths: Mapping[str, NDArray[n
             ap.name, (ap.x_m, ap.y_m), xytext=(0, 8), textcoords="offset points", ha="center", va="bottom",
             fontsize=9, fontweight="bold", color=_AP_COLOUR, path_effects=halo, zorder=6, annotation_clip=True,
         )  # fmt: skip
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_title(
         f"{site.name} (made-up building: nothing here was measured)" if site.made_up else site.name
     )
@@ -86,10 +87,6 @@ def _coloured(plan: FloorPlan) -> NDArray[np.float64]:
     ink = 1.0 - plan.grey[..., None] / 255.0
     pale = 1.0 - ink * (1.0 - np.array(to_rgb(_LINE_COLOUR)))
     return np.where(plan.walls[..., None], np.array(to_rgb(_WALL_COLOUR)), pale)
-
-
-def _cycled(count: int) -> list[str]:
-    return [_PATH_COLOURS[index % len(_PATH_COLOURS)] for index in range(count)]
 
 
 def _add_scale_bar(axes: Axes, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:

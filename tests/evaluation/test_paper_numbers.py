@@ -54,3 +54,15 @@ def test_results_that_trained_on_the_target_are_left_out() -> None:
 def test_what_the_paper_does_not_say_is_empty() -> None:
     assert published("zero-shot", "nls", "shopping-mall", 1, filtered=False, metric="rmse_m") == []
     assert published("zero-shot", "gnn", "moon", 1, filtered=False, metric="rmse_m") == []
+
+
+def test_moved_access_points_stand_for_the_office_of_the_paper() -> None:
+    def rmse(protocol: str, site: str) -> list[str]:
+        found = published(protocol, "gnn-fpdnn", site, 1, filtered=True, metric="rmse_m")
+        return [row.value for row in found]
+
+    for site in ("office-position1", "office-position2"):
+        assert rmse("ap-moved", site) == ["0.95"] and rmse("fine-tuned", site) == ["0.87"]
+    assert rmse("seen", "office") == ["0.30"] and rmse("zero-shot", "office-position1") == []
+    assert rmse("fine-tuned", "shopping-mall") == ["1.05"]
+    assert rmse("multi-device", "shopping-mall") == ["0.90"]
