@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,13 @@ from fploc.calibration.offsets import (
     constant_offset,
     fit_pooled_offsets,
 )
-from fploc.datasets.packed import packed_sites, read_packed
+from fploc.datasets.packed import (
+    manifest_hash,
+    packed_folder,
+    packed_sites,
+    read_manifest,
+    read_packed,
+)
 from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError, UnknownNameError
 from fploc.evaluation.metrics import Scores, score
@@ -94,8 +101,18 @@ def source_offsets(request: EvaluationRequest, data_root: Path) -> RangeOffsets:
     constant = constant_offset(request.calibration)
     if constant is not None:
         return RangeOffsets(request.calibration, constant)
-    sources = source_recordings(request, data_root)
-    return fit_pooled_offsets(request.calibration, sources)
+    there = [packed_folder(data_root, name) for name in packed_sites(data_root)]
+    hashes = tuple(manifest_hash(read_manifest(folder)) for folder in there)
+    learned = EvaluationRequest(request.protocol, request.site, source=request.source)
+    return _fitted_offsets(request.calibration, learned, data_root, hashes)
+
+
+@lru_cache(maxsize=32)
+def _fitted_offsets(
+    calibration: str, request: EvaluationRequest, data_root: Path, hashes: tuple[str, ...]
+) -> RangeOffsets:
+    """Fit offsets once for many methods at a target, as long as no packed site changes its hash."""
+    return fit_pooled_offsets(calibration, source_recordings(request, data_root))
 
 
 def source_recordings(request: EvaluationRequest, data_root: Path) -> list[SourceRecordings]:
