@@ -19,10 +19,11 @@ HOMES = {
     "filterpy": {"fploc.filters"},
     "mlflow": {"fploc.evaluation.run_log"},
     "openpyxl": {"fploc.raw"},
-    # Beyond the plots, `Figure` is a type in three modules that hand figures on or write them.
+    # Beyond the plots, `Figure` is a type in modules that hand figures on or write them.
     "matplotlib": {
         "fploc.plots",
         "fploc.evaluation.run_log",
+        "fploc.experiments.figures",
         "fploc.experiments.reproduce",
         "fploc.experiments.synthesize",
     },
