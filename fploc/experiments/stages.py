@@ -115,14 +115,15 @@ class StageBook:
                         self._forget(stage, stages)
                         running[pool.submit(_timed, run_by_name, stage.name)] = waiting.pop(stage.name)
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
+                for future in sorted(done, key=_has_failed):
                     self._finish(running[future], future.result(), labels)
                     del running[future]
         except BaseException:
+            # Interrupted processes end once nothing more can come, and not before.
+            pool.shutdown(wait=False, cancel_futures=True)
             _interrupt_children()
             raise
-        finally:
-            pool.shutdown(cancel_futures=True)
+        pool.shutdown()
 
     def _announced(self, stages: Sequence[Stage]) -> list[Stage]:
         left = self.left(stages)
@@ -154,6 +155,10 @@ class StageBook:
 
 def _labels(stages: Sequence[Stage]) -> dict[str, str]:
     return {stage.name: f"[{number}/{len(stages)}] {stage.name}" for number, stage in enumerate(stages, 1)}
+
+
+def _has_failed(future: Future[float]) -> bool:
+    return future.exception() is not None
 
 
 def _timed(run_by_name: RunByName, name: str) -> float:
