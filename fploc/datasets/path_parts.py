@@ -29,9 +29,12 @@ def along_path_m(labels_m: Floats) -> Floats:
     """Return how far along its path a device is, shape (T,), metres; between labels by linear interpolation.
 
     Args:
-        labels_m: Ground truth, shape (T, 2), metres, site frame; NaN where there is none.
+        labels_m: Ground truth, shape (T, 2), metres, site frame; NaN where there is none. Without any, nobody
+            has moved.
     """
     known = np.flatnonzero(np.isfinite(labels_m).all(axis=1))
+    if not known.size:
+        return np.zeros(len(labels_m))
     steps = np.linalg.norm(np.diff(labels_m[known], axis=0), axis=1)
     return np.interp(np.arange(len(labels_m)), known, np.concatenate([[0.0], np.cumsum(steps)]))
 
