@@ -23,6 +23,7 @@ SCORED_ONLY = (
     "ablations",
     "ablation_targets",
     "ablation_seeds",
+    "synthesized",
     "plans",
     "thins",
 )
@@ -55,6 +56,7 @@ class Preset:
         learning_rates: Of each network.
         random_layout_share: Share of virtual batches with access points elsewhere.
         thins: Every so many-th interval is evaluated; the first is the headline.
+        synthesized: Sites that the generator's maps and its match with measurements are made of.
         plans: Plans that ``gnn-fpdnn`` is scored with beside the real one, zero-shot.
         ablations: Names in conf/ablation/, each trained and scored zero-shot at ``ablation_targets``.
         ablation_targets: Sites of the ablations.
@@ -80,6 +82,7 @@ class Preset:
     learning_rates: dict[str, float]
     random_layout_share: float
     thins: tuple[int, ...] = (1,)
+    synthesized: tuple[str, ...] = ()
     plans: tuple[str, ...] = ()
     ablations: tuple[str, ...] = ()
     ablation_targets: tuple[str, ...] = ()

@@ -16,17 +16,12 @@ from numpy.typing import NDArray
 
 from fploc.datasets.packed import PackedSite, read_packed
 from fploc.errors import FplocError
-from fploc.evaluation.error_series import (
-    error_series,
-    pooled_errors_m,
-    read_error_series,
-    write_error_series,
-)
+from fploc.evaluation.error_series import error_series, write_error_series
 from fploc.evaluation.evaluate import EvaluationRequest
 from fploc.evaluation.metrics import held_errors_m
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import TrackedRecord, read_tracked_records, write_records
-from fploc.evaluation.report import comparison_rows, headline_records, page
+from fploc.evaluation.report import comparison_rows, headline_records
 from fploc.evaluation.revision import running_commit
 from fploc.evaluation.run_log import RunLog
 from fploc.experiments.duration import announce_duration
@@ -37,22 +32,23 @@ from fploc.experiments.plan import (
     Learning,
     Scoring,
     chosen_protocols,
-    is_headline,
     learnings,
     needed_sites,
     scorings,
 )
 from fploc.experiments.preset import Preset, read_preset
+from fploc.experiments.reporting import FACTS, FIGURES, PAGE, RECORDS, Report
 from fploc.experiments.scoring import Scored, scored
 from fploc.experiments.stages import Stage, StageBook
+from fploc.experiments.synthesize import MATCH, synthesize
 from fploc.experiments.training import Loggers
 from fploc.experiments.world import World, prepare_world
-from fploc.files import whole
 from fploc.localizer import Track
 from fploc.plots.results import plot_cdf, plot_tracks
 from fploc.progress import print_table
 
 EXPERIMENT = "fploc"
+STAGES = "stages"
 TRAINING = "train--"
 FIGURE_LABELS = "repaired"
 
@@ -104,7 +100,9 @@ class Reproduction:
         generators = [self._generator_stage(seed) for seed in self.preset.seeds]
         chains = [self._chain_stage(one) for one in self.learnings()]
         scorings = [self._scoring_stage(one) for one in self.scorings()]
-        return [self._calibration_stage(), *generators, *chains, *scorings, self._report_stage(scorings)]
+        maps = [self._synthesis_stage(site) for site in self._synthesized()]
+        work = [self._calibration_stage(), *generators, *chains, *maps, *scorings]
+        return [*work, self._report_stage([*maps, *scorings])]
 
     def learnings(self) -> list[Learning]:
         """Return every chain to train."""
@@ -171,12 +169,22 @@ class Reproduction:
             partial(self._score, scoring),
         )
 
-    def _report_stage(self, scorings: Sequence[Stage]) -> Stage:
+    def _synthesis_stage(self, site: str) -> Stage:
+        return self._stage(
+            f"synthesize--{site}",
+            self.preset,
+            list(dict.fromkeys([self.world.source, site])),
+            [self._match_file(site)],
+            [self._generator_name(self.preset.seeds[0])],
+            partial(self._synthesize, site),
+        )
+
+    def _report_stage(self, before: Sequence[Stage]) -> Stage:
         return Stage(
             name="report",
-            inputs=[f"{stage.name} {stage.key}" for stage in scorings],
-            outputs=[self.folder / name for name in ("records.jsonl", "results.md", "figures")],
-            after=[stage.name for stage in scorings],
+            inputs=[f"{stage.name} {stage.key}" for stage in before],
+            outputs=[self.folder / name for name in (RECORDS, PAGE, FACTS, FIGURES)],
+            after=[stage.name for stage in before],
             run=self._report,
         )
 
@@ -276,32 +284,43 @@ class Reproduction:
     def _data_hash(self, scoring: Scoring) -> str:
         return self.learner.data_hash(Learning(scoring.protocol, scoring.site, scoring.seed))
 
+    def _synthesize(self, site: str) -> None:
+        synthesize(
+            site,
+            source=self.world.source,
+            preset_name=self.preset.name,
+            seed=self.preset.seeds[0],
+            data_root=self.data_root,
+            runs=self.runs,
+            out=self._match_file(site).parent,
+        )
+
     def _report(self) -> None:
-        scorings = self.scorings()
-        files = [self._records_file(scoring) for scoring in scorings]
-        tracked = [record for file in files for record in read_tracked_records(file)]
-        figures = self.folder / "figures"
-        figures.mkdir(parents=True, exist_ok=True)
-        plain = [
-            one for one in scorings if is_headline(one, self.preset) and self._errors_file(one).is_file()
-        ]
-        for protocol, site in dict.fromkeys((one.protocol, one.site) for one in plain):
-            there = [one for one in plain if (one.protocol, one.site) == (protocol, site)]
-            errors = {one.method: read_error_series(self._errors_file(one)) for one in there}
-            for device in sorted({one.device for series in errors.values() for one in series}):
-                figure = plot_cdf(
-                    {
-                        method: pooled_errors_m(series, device, filtered=True)
-                        for method, series in errors.items()
-                    },
-                    f"{protocol}, {site}, device {device}, Kalman filter, {FIGURE_LABELS} labels",
-                    made_up=self.world.made_up,
-                )
-                figure.savefig(figures / f"cdf--{protocol}--{site}--device{device}.png", dpi=120)
-        with whole(self.folder / "records.jsonl") as part:
-            part.write_text("".join(file.read_text() for file in files))
-        with whole(self.folder / "results.md") as part:
-            part.write_text(page(tracked, preset=self.preset.name))
+        book = StageBook(self.folder / STAGES)
+        trained = [stage.name for stage in self.stages() if stage.name.startswith(TRAINING)]
+        report = Report(
+            self.preset,
+            self.world.source,
+            self.packed,
+            self.scorings(),
+            self._records_file,
+            self.data_root,
+            self.runs,
+            self.folder,
+        )
+        report.write(
+            {name: book.seconds(name) for name in trained},
+            [self._match_file(site) for site in self._synthesized()],
+        )
+
+    def _synthesized(self) -> list[str]:
+        """Return the sites that the generator's maps are drawn of."""
+        if self.world.made_up:
+            return [self.world.source]
+        return [site for site in self.preset.synthesized if site in self.packed]
+
+    def _match_file(self, site: str) -> Path:
+        return self.folder / "synthetic" / site / MATCH
 
     def _records_file(self, scoring: Scoring) -> Path:
         return self.folder / "scores" / f"{scoring.name}.jsonl"
@@ -353,7 +372,7 @@ def reproduce(
     preset = read_preset(preset_name)
     world = prepare_world(data_root, source, needed_sites(preset, targets))
     reproduction = Reproduction.on(preset, world, targets, data_root, runs)
-    book, stages = StageBook(reproduction.folder / "stages"), reproduction.stages()
+    book, stages = StageBook(reproduction.folder / STAGES), reproduction.stages()
     if any(stage.name.startswith(TRAINING) for stage in book.left(stages)):
         announce_duration(preset, reproduction.learner.source_data(None), reproduction.learnings())
     if workers == 1:
@@ -361,14 +380,14 @@ def reproduce(
     else:
         run_by_name = partial(run_stage, preset, world, targets, data_root, runs)
         book.run_side_by_side(stages, workers, run_by_name)
-    tracked = read_tracked_records(reproduction.folder / "records.jsonl")
+    tracked = read_tracked_records(reproduction.folder / RECORDS)
     title = "MADE-UP BUILDINGS, no real data" if world.made_up else "public data"
     print(f"\nPreset {preset.name}, {title}, {FIGURE_LABELS} labels, metres:")  # noqa: T201
     print_table(comparison_rows(headline_records(tracked), labels=FIGURE_LABELS))
     for name, path in {
-        "results": reproduction.folder / "results.md",
-        "records": reproduction.folder / "records.jsonl",
-        "figures": reproduction.folder / "figures",
+        "results": reproduction.folder / PAGE,
+        "records": reproduction.folder / RECORDS,
+        "figures": reproduction.folder / FIGURES,
         "artifacts": reproduction.learner.artifacts / preset.name,
         "MLflow": f"{reproduction.log.uri} (look at it with `make ui`)",
     }.items():

@@ -14,10 +14,12 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+from fploc.errors import FplocError
 from fploc.files import whole
 
 PATIENCE_S = 10.0
@@ -118,6 +120,13 @@ class StageBook:
                 for future in sorted(done, key=_has_failed):
                     self._finish(running[future], future.result(), labels)
                     del running[future]
+        except BrokenProcessPool as error:
+            raise FplocError(
+                f"a process of {' or '.join(stage.name for stage in running.values())}",
+                value="it ended abruptly",
+                expected="enough memory for all processes",
+                way_out="call again with `--workers 1`; what is done is kept",
+            ) from error
         except BaseException:
             # Interrupted processes end once nothing more can come, and not before.
             pool.shutdown(wait=False, cancel_futures=True)

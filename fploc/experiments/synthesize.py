@@ -47,6 +47,7 @@ FIGURES = (RANGE_MAP, RSS_MAP, RANGE_MISS, RSS_MISS) = (
 )
 HELD_OUT = "held-out recordings of the source"
 LOOKING = "zero-shot site: for looking, never for choosing"
+MATCH = "match.json"
 MEASURED, GENERATED, MEAN_ONLY = "measured", "generator", "mean only (paper)"
 ALL = "all"
 
@@ -108,7 +109,7 @@ def synthesize(
     artifact = load_artifact(
         artifacts_folder(runs),
         key,
-        data_hash=data_hash(origin, origin),
+        data_hash=data_hash(origin),
         command=reproduce_command(preset.name, source),
     )
     generator = artifact.networks["generator"]
@@ -133,7 +134,7 @@ def synthesize(
         "offset_m": offsets.offset_m,
         "recordings": [f"device {one.device} {one.name}" for one in recordings],
         "artifact": str(key.folder(Path())),
-        "data_hash": data_hash(origin, target),
+        "data_hash": data_hash(*{one.site.name: one for one in (origin, target)}.values()),
         "commit": running_commit(),
         "rows": [] if readings is None else match_rows(names, readings),
     }
@@ -172,30 +173,6 @@ def match_rows(names: Sequence[str], readings: Readings) -> list[dict[str, Any]]
     return [
         *_rows_of([names[index] for index in columns], readings, lambda values: values[:, columns]),
         *_rows_of([ALL], readings, lambda values: values.reshape(-1, 1)),
-    ]
-
-
-def printed_rows(match: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the rows of ``match.json`` as text, ready to print."""
-    headings = {
-        "bias_m": "bias (m)",
-        "spread_m": "spread (m)",
-        "skewness": "skewness",
-        "local_spread_m": "local spread (m)",
-        "local_skewness": "local skewness",
-        "rss_dbm": "RSS (dBm)",
-        "rss_bias_db": "RSS bias (dB)",
-        "rss_spread_db": "RSS spread (dB)",
-        "dependence": "RTT–RSS ρ",
-    }
-    return [
-        {
-            "AP": row["access_point"],
-            "data": row["data"],
-            "n": f"{row['n']:,}",
-            **{text: "–" if row[name] is None else f"{row[name]:.2f}" for name, text in headings.items()},
-        }
-        for row in match["rows"]
     ]
 
 
@@ -324,7 +301,7 @@ def _write(figures: Mapping[str, Figure], match: Mapping[str, Any], out: Path) -
         for name, figure in figures.items():
             with whole(out / name) as part:
                 figure.savefig(part, format="png", dpi=DOTS_PER_INCH)
-        with whole(out / "match.json") as part:
+        with whole(out / MATCH) as part:
             part.write_text(json.dumps(match, indent=2) + "\n", encoding="utf-8")
     except OSError as error:
         raise FplocError(
@@ -333,4 +310,4 @@ def _write(figures: Mapping[str, Figure], match: Mapping[str, Any], out: Path) -
             expected="a folder with room to write to",
             way_out="free some space, or name another folder with --out",
         ) from error
-    return (*(out / name for name in figures), out / "match.json")
+    return (*(out / name for name in figures), out / MATCH)
