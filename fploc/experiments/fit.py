@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import os
+import shlex
 import warnings
 from collections.abc import Sequence
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 
 import lightning.pytorch as pl
+from lightning.pytorch.callbacks import ModelCheckpoint
 from lightning.pytorch.cli import LightningCLI
 
+from datamodules.measured import MeasuredDataModule
+from datamodules.pooled import PooledDataModule
+from fploc.artifacts import Artifact, ArtifactKey
 from fploc.conf import conf_folder
-from fploc.errors import MissingFileError
+from fploc.datasets.packed import PackedSite
+from fploc.errors import FplocError, MissingFileError
+from fploc.experiments.scoring import artifacts_folder, data_hash
+from fploc.tasks.streams import StreamTask
 
 CONFIG = "--config"
+PRESET = "fit"
 RUNS = Path("runs")
 RAISING = {"exit_on_error": False}
 """Of a parser: what it refuses goes to the caller, who prints it in one line."""
@@ -25,19 +35,32 @@ class _FitCLI(LightningCLI):
         # The loggers of conf/experiment/ keep their SQLite file here, and SQLite makes no folder.
         RUNS.mkdir(exist_ok=True)
 
+    def before_fit(self) -> None:
+        if not isinstance(self.datamodule, MeasuredDataModule | PooledDataModule):
+            raise FplocError(
+                "data of fploc fit",
+                value=type(self.datamodule).__name__,
+                expected="a MeasuredDataModule or a PooledDataModule, which calibrate",
+                way_out="name one of these, or a class made from one, as `class_path`",
+            )
+
 
 def fit_from_command_line(words: Sequence[str]) -> None:
     """Train what the words of a command line describe; see ``fploc fit --help``.
 
+    The weights that were best in validation end in an artifact below ``trainer.default_root_dir``, with the
+    range offsets that they were trained behind; its folder is printed. ``fast_dev_run`` keeps nothing.
+
     Raises:
         MissingFileError: If a configuration file is not there.
+        FplocError: If the data are of a kind that holds no calibration.
     """
     # The words come from the command line itself, which Lightning cannot know.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     with resources.as_file(conf_folder()) as conf:
-        _FitCLI(
-            pl.LightningModule,
+        cli = _FitCLI(
+            StreamTask,
             pl.LightningDataModule,
             subclass_mode_model=True,
             subclass_mode_data=True,
@@ -45,6 +68,49 @@ def fit_from_command_line(words: Sequence[str]) -> None:
             parser_kwargs={"prog": "fploc", "fit": RAISING} | RAISING,
             args=["fit", *_resolved(words, Path(conf))],
         )
+    trainer = cli.trainer
+    if cli.config["fit"]["trainer"]["fast_dev_run"]:
+        return
+    metrics = _validated_best(cli)
+    if trainer.is_global_zero:
+        made = _artifact(cli, metrics, command=shlex.join(["fploc", "fit", *words]))
+        folder = made.save(artifacts_folder(Path(trainer.default_root_dir)))
+        print(f"artifact: {folder}")  # noqa: T201
+
+
+def _validated_best(cli: LightningCLI) -> dict[str, float]:
+    """Put the best weights into the network, on every process, and return what validation says of them."""
+    checkpoint = cli.trainer.checkpoint_callback
+    best = checkpoint.best_model_path if isinstance(checkpoint, ModelCheckpoint) else ""
+    (metrics,) = cli.trainer.validate(
+        cli.model, datamodule=cli.datamodule, ckpt_path=best or None, verbose=False
+    )
+    return {name: float(value) for name, value in metrics.items()}
+
+
+def _artifact(cli: LightningCLI, metrics: dict[str, float], *, command: str) -> Artifact:
+    """Return the trained network with the calibration that its ranges were behind."""
+    data, name = cli.datamodule, cli.model.name
+    assert data.offsets is not None, "the training has called setup()"
+    config = cli.config["fit"].clone(with_meta=False)
+    protocol, target, sites = _learned_from(data)
+    return Artifact(
+        key=ArtifactKey(name, protocol, target, PRESET, int(config["seed_everything"])),
+        specs={name: config["model"]["init_args"]["network"].as_dict()},
+        networks={name: cli.model.network},
+        constants={"offsets": asdict(data.offsets), "labels": data.labels, "validation": metrics},
+        data_hash=data_hash(*sites),
+        recordings=tuple(f"{one.site}/{one.name}" for one in data.recordings("train")),
+        command=command,
+    )
+
+
+def _learned_from(data: MeasuredDataModule | PooledDataModule) -> tuple[str, str, list[PackedSite]]:
+    """Return the protocol that describes the data, the site that validates and all sites."""
+    if isinstance(data, PooledDataModule):
+        return "zero-shot-pooled", data.validation_site, list(data.packed.values())
+    assert data.packed is not None, "the training has called setup()"
+    return "seen", data.site, [data.packed]
 
 
 def _resolved(words: Sequence[str], conf: Path) -> list[str]:

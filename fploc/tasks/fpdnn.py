@@ -35,6 +35,9 @@ class FPDNNTask(StreamTask):
         FplocError: If the shares are negative or do not sum to 1.
     """
 
+    name = "fpdnn"
+    network: FPDNN
+
     def __init__(
         self,
         network: FPDNN,
@@ -44,8 +47,7 @@ class FPDNNTask(StreamTask):
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-5,
     ) -> None:
-        super().__init__(learning_rate, weight_decay)
-        self.network = network
+        super().__init__(network, learning_rate, weight_decay)
         self.jitter_m = jitter_m
         self.augmentation = augmentation
         if min(sight_shares) < 0.0 or abs(sum(sight_shares) - 1.0) > 1e-6:

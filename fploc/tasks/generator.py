@@ -21,14 +21,16 @@ class GeneratorTask(StreamTask):
         weight_decay: Adam's.
     """
 
+    name = "generator"
+    network: Generator
+
     def __init__(
         self,
         network: Generator,
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-5,
     ) -> None:
-        super().__init__(learning_rate, weight_decay)
-        self.network = network
+        super().__init__(network, learning_rate, weight_decay)
 
     def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
         links = batch.links
@@ -39,7 +41,7 @@ class GeneratorTask(StreamTask):
         distribution = self.network(crops.images, crops.lengths_px, distances)
         loss = -(distribution.log_prob_error(errors) + distribution.log_prob_rss(links.rss, errors)).mean()
         count = len(distances)
-        self.log_mean(f"{stage}/nll", loss, count)
+        self.log_mean(f"{stage}/loss", loss, count)
         absolute = (distribution.mean_error() - errors).abs().mean()
         self.log_mean(f"{stage}/range_mae_m", absolute, count)
         return loss

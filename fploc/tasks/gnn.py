@@ -39,13 +39,15 @@ class GNNTask(StreamTask):
         weight_decay: Adam's.
     """
 
+    name = "gnn"
+    network: GNN
+
     def __init__(self, network: GNN, learning_rate: float = 2e-4, weight_decay: float = 1e-5) -> None:
-        super().__init__(learning_rate, weight_decay)
-        self.network = network
+        super().__init__(network, learning_rate, weight_decay)
 
     def on_validation_epoch_end(self) -> None:
         """Log the root mean squared error over all validation intervals."""
-        self.log("val/rmse_m", self.trainer.callback_metrics["val/loss"].sqrt())
+        self.log("val/rmse_m", self.trainer.callback_metrics["val/loss"].sqrt(), sync_dist=True)
 
     def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:
         turn = random_turn(self.device) if stage == "train" else torch.eye(2, device=self.device)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import lightning.pytorch as pl
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fploc.datasets.samples import LabelledIntervals
 
@@ -14,13 +15,22 @@ from fploc.datasets.samples import LabelledIntervals
 class StreamTask(pl.LightningModule):
     """Training on several streams of labelled intervals at once, measured and virtual.
 
+    On several processes each gets batches of its own: Lightning deals out those of every stream.
+
+    Attributes:
+        name: Of the network, as in conf/model/.
+        network: What is trained.
+
     Args:
         learning_rate: Adam's.
         weight_decay: Adam's.
     """
 
-    def __init__(self, learning_rate: float, weight_decay: float) -> None:
+    name: ClassVar[str]
+
+    def __init__(self, network: nn.Module, learning_rate: float, weight_decay: float) -> None:
         super().__init__()
+        self.network = network
         self.learning_rate = learning_rate
         self.weight_decay = weight_decay
 
@@ -37,8 +47,8 @@ class StreamTask(pl.LightningModule):
         return torch.optim.Adam(self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay)
 
     def log_mean(self, name: str, value: Tensor, count: int) -> None:
-        """Log the mean of a metric over the epoch, weighted by the ``count`` of items in the batch."""
-        self.log(name, value, batch_size=count, on_step=False, on_epoch=True)
+        """Log a metric's mean over epoch and processes, weighted by the ``count`` of items in the batch."""
+        self.log(name, value, batch_size=count, on_step=False, on_epoch=True, sync_dist=True)
 
     @abstractmethod
     def _shared_step(self, batch: LabelledIntervals, stage: str) -> Tensor:

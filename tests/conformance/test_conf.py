@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
 
-from fploc.cli import main
 from fploc.conf import conf_folder, instantiate, read_conf
 from fploc.experiments.preset import PRESETS, read_preset
 from fploc.experiments.scoring import METHODS
@@ -151,14 +149,8 @@ def test_every_preset_begins_with_the_command_that_runs_it(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", names("experiment"))
-def test_every_experiment_begins_with_the_command_that_runs_it_and_trains(
-    name: str, data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    command = first_command("experiment", name)
-    assert command == ["fploc", "fit", "--config", f"conf/experiment/{name}.yaml"]
-    monkeypatch.chdir(tmp_path)
-    quick = ["--trainer.fast_dev_run=1", f"--data.init_args.data_root={data_root}"]
-    assert main([*command[1:], *quick]) == 0
+def test_every_experiment_begins_with_the_command_that_runs_it(name: str) -> None:
+    assert first_command("experiment", name) == ["fploc", "fit", "--config", f"conf/experiment/{name}.yaml"]
 
 
 def test_presets_are_what_reproduce_runs() -> None:

@@ -46,7 +46,7 @@ def generator_task() -> GeneratorTask:
 METRICS: list[tuple[Callable[[], pl.LightningModule], set[str]]] = [
     (gnn_task, {"train/loss", "val/loss", "val/rmse_m"}),
     (fpdnn_task, {"train/loss", "train/range_mae_m", "val/loss", "val/range_mae_m"}),
-    (generator_task, {"train/nll", "train/range_mae_m", "val/nll", "val/range_mae_m"}),
+    (generator_task, {"train/loss", "train/range_mae_m", "val/loss", "val/range_mae_m"}),
 ]
 
 

@@ -205,7 +205,7 @@ def test_generator_loss_is_the_negative_log_likelihood(make_batch: Callable[...,
         errors = batch.intervals.ranges[heard] - distances
         joint = made.log_prob_error(errors) + made.log_prob_rss(batch.intervals.rss[heard], errors)
         absolute = (made.mean_error() - errors).abs()
-    expected = {"val/nll": float(-joint.mean()), "val/range_mae_m": float(absolute.mean())}
+    expected = {"val/loss": float(-joint.mean()), "val/range_mae_m": float(absolute.mean())}
     metrics = validated(GeneratorTask(network), batch)
     assert metrics == pytest.approx(expected, rel=1e-4)
 
