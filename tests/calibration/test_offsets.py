@@ -5,12 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from fploc.calibration.offsets import (
     FEWEST_READINGS_PER_MAC,
     RangeOffsets,
+    SourceRecordings,
     constant_offset,
     fit_offsets,
+    fit_pooled_offsets,
 )
 from fploc.datasets.recordings import Recording
 from fploc.errors import BadFileError, FplocError, MissingFileError
@@ -158,3 +161,63 @@ def test_a_broken_file_is_named(tmp_path: Path, text: str) -> None:
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match=r"offsets\.json"):
         RangeOffsets.load(tmp_path / "offsets.json")
+
+
+def source(recording: Recording, name: str = "hall", plan_: FloorPlan | None = None) -> SourceRecordings:
+    return SourceRecordings([replace(recording, site=name)], replace(SITE, name=name), plan_)
+
+
+@pytest.mark.parametrize("estimator", ["source-los", "source-median", "source-mac", "none", "1.25"])
+def test_one_site_pooled_is_that_site(estimator: str) -> None:
+    laps = [lap("1"), lap("2", seed=4)]
+    pooled = fit_pooled_offsets(estimator, [SourceRecordings(laps, SITE, plan())])
+    assert pooled == fit_offsets(estimator, laps, SITE, plan())
+
+
+def errors_m(recording: Recording) -> NDArray[np.float64]:
+    """Return slant range minus slant distance of every reading, by its definition."""
+    across = np.linalg.norm(recording.repaired_m[:, None] - SITE.positions_m, axis=2)
+    return (recording.slant_m - np.hypot(across, SITE.height_differences_m)).ravel()
+
+
+def test_pooled_sites_give_the_median_over_all_readings() -> None:
+    """Not the mean of medians, nor the median of medians: the second site has a tenth of the readings."""
+    large = lap("1")
+    shifted = lap("2", seed=4)
+    shifted = replace(shifted, slant_m=shifted.slant_m + 10.0)
+    small = shifted.where(np.arange(len(shifted)) < len(large) // 10)
+    pooled = fit_pooled_offsets("source-median", [source(large), source(small, "shed")])
+    assert pooled.offset_m == np.median(np.concatenate([errors_m(large), errors_m(small)]))
+    assert pooled.recordings == ("hall/1/1", "shed/1/2")
+    again = fit_pooled_offsets("source-median", [source(small, "shed"), source(large)])
+    assert again.offset_m == pooled.offset_m
+
+
+def test_pooled_sites_look_for_walls_on_their_own_plans() -> None:
+    """In the shed no wall is drawn, so that its long ranges count as well."""
+    walls = plan()
+    bare = FloorPlan("shed", np.full_like(walls.grey, 255), np.zeros_like(walls.walls), walls.georeference)
+    one = lap("1")
+    pooled = fit_pooled_offsets("source-los", [source(one, "hall", walls), source(one, "shed", bare)])
+    clear = np.column_stack([one.repaired_m[:, 0] < 5, one.repaired_m[:, 0] > 5]).ravel()
+    expected = np.concatenate([errors_m(one)[clear], errors_m(one)])
+    assert pooled.offset_m == pytest.approx(np.median(expected))
+
+
+def test_access_points_of_pooled_sites_keep_offsets_of_their_own() -> None:
+    one = lap("1")
+    moved = tuple(replace(ap, mac=f"bb:00:00:00:00:0{i}") for i, ap in enumerate(SITE.access_points))
+    shed = SourceRecordings(
+        [replace(one, slant_m=one.slant_m + 2.0)], replace(SITE, access_points=moved), plan()
+    )
+    pooled = fit_pooled_offsets("source-mac", [source(one, "hall", plan()), shed])
+    assert pooled.by_mac_m == pytest.approx(
+        dict(zip(MACS, CLEAR_M, strict=True))
+        | {moved[0].mac: CLEAR_M[0] + 2.0, moved[1].mac: CLEAR_M[1] + 2.0}
+    )
+
+
+def test_sites_without_any_usable_reading_are_named_together() -> None:
+    silent = replace(lap(), heard=np.zeros_like(lap().heard))
+    with pytest.raises(FplocError, match="readings of hall, shed for --calibration source-median"):
+        fit_pooled_offsets("source-median", [source(silent), source(silent, "shed")])
