@@ -217,7 +217,10 @@ def _reproduce_parser() -> ArgumentParser:
         "Example: fploc reproduce --preset smoke",
         exit_on_error=False,
     )
-    parser.add_argument("--preset", type=str, default="default", help="smoke, default, full or paper.")
+    parser.add_argument("--preset", type=str, default="default", help="smoke, default, full, published or paper.")
+    parser.add_argument(
+        "--workers", type=int, default=1, help="Processes to run stages in side by side: one for each core."
+    )
     _add_data_options(parser)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of everything written.")
     return parser
@@ -372,7 +375,8 @@ def _run_made_up(options: Namespace) -> None:
 
 
 def _run_synthesize(options: Namespace) -> None:
-    from fploc.experiments.synthesize import printed_rows, synthesize
+    from fploc.evaluation.generator_match import printed_rows
+    from fploc.experiments.synthesize import synthesize
 
     done = synthesize(
         options.site,
@@ -441,7 +445,7 @@ def _run_reproduce(options: Namespace) -> None:
     from fploc.experiments.reproduce import reproduce
 
     sites = None if options.sites is None else _named_sites(options.sites)
-    reproduce(options.preset, options.data_root, options.source, options.runs, sites)
+    reproduce(options.preset, options.data_root, options.source, options.runs, sites, options.workers)
 
 
 def _fit(words: list[str]) -> int:

@@ -14,8 +14,9 @@ from fploc.errors import MissingFileError
 from fploc.evaluation.error_series import error_series, write_error_series
 from fploc.evaluation.evaluate import EvaluationRequest, records_of, source_offsets, tracks_of
 from fploc.evaluation.records import TrackedRecord, write_records
-from fploc.evaluation.report import Scoring, comparison_rows
+from fploc.evaluation.report import comparison_rows
 from fploc.evaluation.tables import markdown
+from fploc.experiments.plan import Scoring
 from fploc.experiments.scoring import data_hash
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
 from fploc.sites.made_up import made_up_site

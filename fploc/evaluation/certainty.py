@@ -29,7 +29,9 @@ def difference_rows(
         seed: Of the bootstrap.
     """
     rows = []
-    by_method = {method: {(one.device, one.recording): one for one in errors} for method, errors in series.items()}
+    by_method = {
+        method: {(one.device, one.recording): one for one in errors} for method, errors in series.items()
+    }
     own = by_method.pop(base, {})
     for device in sorted({device for device, _ in own}):
         for method, errors in by_method.items():

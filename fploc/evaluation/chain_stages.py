@@ -16,6 +16,7 @@ from fploc.calibration.offsets import RangeOffsets
 from fploc.calibration.ranges import calibrated_plan_ranges
 from fploc.datasets.recordings import Recording
 from fploc.evaluation.metrics import score
+from fploc.evaluation.records import finite_or_none
 from fploc.filters.kalman import KalmanSettings
 from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals
 from fploc.localizer import Path, localize
@@ -74,11 +75,12 @@ def chain_tracks(
     return tracks
 
 
-def chain_stages(tracks: Sequence[ChainTrack], site: Site, labels: str) -> dict[str, float]:
+def chain_stages(tracks: Sequence[ChainTrack], site: Site, labels: str) -> dict[str, float | None]:
     """Return errors by stage, metres: mean absolute ones of ranges, RMSE of positions with the last fix held.
 
     ``range_raw_mae_m`` and ``range_fpdnn_mae_m`` are over the same links: those that FPDNN corrected and
     whose true distance is known. ``GNN`` and the other names of ``STAGES`` hold the RMSE after each stage.
+    What is undefined is None.
 
     Args:
         tracks: Of one device; their intervals are pooled.
@@ -91,12 +93,13 @@ def chain_stages(tracks: Sequence[ChainTrack], site: Site, labels: str) -> dict[
     corrected = np.concatenate([track.corrected_m - d for track, d in zip(tracks, distances, strict=True)])
     there = np.isfinite(raw) & np.isfinite(corrected)
     positions = {stage: score([track.paths[stage] for track in tracks], truths).rmse_m for stage in STAGES}
-    return {
+    found = {
         "links": float(there.sum()),
         "range_raw_mae_m": _mean_absolute(raw[there]),
         "range_fpdnn_mae_m": _mean_absolute(corrected[there]),
         **positions,
     }
+    return {name: finite_or_none(value) for name, value in found.items()}
 
 
 def _ranges(

@@ -5,7 +5,9 @@ Axes: N readings, A access points. NaN stands for what was not heard and does no
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,3 +98,27 @@ def rank_correlation(first: Floats, second: Floats) -> Floats:
     scale: Floats = np.sqrt(np.nansum(one**2, axis=0) * np.nansum(two**2, axis=0))
     together: Floats = np.nansum(one * two, axis=0)
     return np.divide(together, scale, out=np.full_like(scale, np.nan), where=scale > 0)
+
+
+def printed_rows(match: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return the rows of a ``match.json`` (``fploc synthesize``) as text, ready to print."""
+    headings = {
+        "bias_m": "bias (m)",
+        "spread_m": "spread (m)",
+        "skewness": "skewness",
+        "local_spread_m": "local spread (m)",
+        "local_skewness": "local skewness",
+        "rss_dbm": "RSS (dBm)",
+        "rss_bias_db": "RSS bias (dB)",
+        "rss_spread_db": "RSS spread (dB)",
+        "dependence": "RTT–RSS ρ",
+    }
+    return [
+        {
+            "AP": row["access_point"],
+            "data": row["data"],
+            "n": f"{row['n']:,}",
+            **{text: "–" if row[name] is None else f"{row[name]:.2f}" for name, text in headings.items()},
+        }
+        for row in match["rows"]
+    ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from fploc.evaluation.paper_numbers import paper_numbers, published
 from fploc.evaluation.records import Record, TrackedRecord
@@ -13,21 +12,6 @@ METRICS = ("rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
 REAL_PLAN = "real"
 FILTERS = {"none": "none", "kalman": "KF", "own": "own"}
 SHARED_FLOOR = ("conference-room", "office-position1", "office-position2")
-
-
-@dataclass(frozen=True)
-class Scoring:
-    """One thing to score: a method at a site, as one run of the log."""
-
-    method: str
-    protocol: str
-    site: str
-    seed: int
-
-    @property
-    def name(self) -> str:
-        """Name of its stage, file and run."""
-        return f"{self.protocol}--{self.site}--{self.method}--seed-{self.seed}"
 
 
 def variant_of(preset: str) -> str:

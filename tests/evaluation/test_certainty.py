@@ -38,7 +38,11 @@ def test_devices_are_apart_and_nothing_in_common_is_no_number() -> None:
 
 
 def test_recordings_count_alike_or_by_their_length() -> None:
-    given = [series(1, "a", [1.0] * 9, arc_m=30.0), series(1, "b", [3.0], arc_m=10.0), series(2, "c", [np.nan])]
+    given = [
+        series(1, "a", [1.0] * 9, arc_m=30.0),
+        series(1, "b", [3.0], arc_m=10.0),
+        series(2, "c", [np.nan]),
+    ]
     first, second = recording_rows({"gnn": given})
     assert first == {
         "device": 1, "method": "gnn", "recordings": 2,

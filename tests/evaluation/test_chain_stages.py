@@ -118,4 +118,4 @@ def test_recordings_without_labels_have_no_stage() -> None:
     blind = replace(lap, repaired_m=np.full_like(lap.repaired_m, np.nan))
     tracks = chain_tracks(chain(CorrectionHead(64)), SITE, [blind], NONE, KalmanSettings())
     found = chain_stages(tracks, SITE, "repaired")
-    assert found["links"] == 0 and np.isnan(found["range_raw_mae_m"]) and np.isnan(found["GNN"])
+    assert found.pop("links") == 0 and set(found.values()) == {None}

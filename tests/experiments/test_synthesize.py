@@ -18,6 +18,7 @@ from fploc.artifacts import Artifact, ArtifactKey
 from fploc.cli import main
 from fploc.conf import instantiate
 from fploc.datasets.packed import PackedSite, read_packed
+from fploc.evaluation.generator_match import printed_rows
 from fploc.experiments.preset import Preset
 from fploc.experiments.scoring import data_hash
 from fploc.experiments.synthesize import (
@@ -31,7 +32,6 @@ from fploc.experiments.synthesize import (
     compared_recordings,
     kind_of,
     match_rows,
-    printed_rows,
 )
 from fploc.floorplan.plan import read_grey_image
 from fploc.models.generator import Generator
