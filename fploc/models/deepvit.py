@@ -46,7 +46,12 @@ def split_and_flatten(images: Tensor, patch_px: tuple[int, int]) -> Tensor:
 
 
 class EncoderBlock(nn.Module):
-    """Norm, re-attention, norm, FFNN, each with a residual connection (Zhou et al. 2021, fig. 4)."""
+    """Norm, re-attention, norm, FFNN of two layers, with two residual connections (Zhou et al. 2021, fig. 4).
+
+    Table II of Yu et al. lists otherwise what their text calls "the same structure as" Zhou's: a ReLU behind the
+    projection of re-attention, one layer with GELU as FFNN, residual connections nowhere. Followed is the text,
+    since a ReLU before a residual sum could only ever add.
+    """
 
     def __init__(
         self,
@@ -98,8 +103,12 @@ class DeepViT(nn.Module):
 
     Paper: Yu et al., section "DeepVIT block" and Table II; Zhou et al. 2021. A patch spans ``patch_px``
     pixels; each is embedded linearly (eq. "split_flatten"), the class token is prepended and a learned
-    position embedding added (eq. "split_flatten_2"). The mean is taken over the valid patches; the class
-    token takes part in the attention and is not averaged. Crops are padded at the device's end.
+    position embedding added (eq. "split_flatten_2"). Crops are padded at the device's end.
+
+    What the paper leaves open: the class token is prepended and gone behind re-attention (Table II: N_s + 1
+    tokens in, N_s out), so it takes part in the attention, and the mean is over the valid patches without it.
+    E_pos has as many rows as a link has patches, so it is learned for the longest crop, one row for each place
+    in the grid of patches; a shorter crop takes those of its places.
 
     Args:
         crop_height_px: Height of a crop, H.
@@ -112,7 +121,7 @@ class DeepViT(nn.Module):
         mlp_ratio: Hidden width of the FFNN over D.
         features: Width of the output.
         attention_norm: Norm of re-attention; see ``ReAttention``.
-        drop: Dropout rate.
+        drop: Dropout rate behind re-attention and each layer of the FFNN (Table II: behind FC2 alone).
         drop_path: Stochastic depth rate.
 
     Raises:

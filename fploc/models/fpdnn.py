@@ -45,7 +45,7 @@ def zero_linear(inputs: int, outputs: int) -> nn.Linear:
 def ffnn(inputs: int, hidden: int, outputs: int, drop: float) -> nn.Sequential:
     """Return two fully connected layers with ReLU, layer norm after the first, dropout after the second.
 
-    Table II of the paper: FFNN1 and, with other widths, the first layers of FFNN3 and FFNN4.
+    Table II of the paper: FFNN1, and FFNN3, which has "the same structure".
     """
     return nn.Sequential(
         nn.Linear(inputs, hidden),
@@ -58,10 +58,11 @@ def ffnn(inputs: int, hidden: int, outputs: int, drop: float) -> nn.Sequential:
 
 
 class DistanceHead(nn.Module):
-    """FFNN2 as published: the bare distance.
+    """FFNN2 as published: the bare distance, in units of 10 m inside.
 
-    Table II cannot be built to the letter: its norm maps 32 to 16, which no norm does (here: a norm over
-    32). Its final ReLU gives no gradient where it puts out 0; softplus is as positive and always has one.
+    Table II cannot be built to the letter: its norm maps 32 to 16, which no norm does (here: a norm over 32,
+    and a last layer 32 → 1). Its final ReLU is harmless for a distance but passes no gradient where it puts out
+    0; softplus is never negative either and always passes one.
 
     Args:
         features: Width of the concatenated features.
@@ -111,8 +112,9 @@ class FPDNN(nn.Module):
     """Floor-plan-aided network: DeepViT on the crop, FFNN1 on (ζ, γ), FFNN2 to the distance.
 
     Paper: Yu et al., section "Structure of FPDNN", eqs. "FFNN" and "outFPDNN", Table II. Changed: ζ and γ
-    are normalised; the index of the access point is dropped, which means nothing at another site; links
-    need not look at the plan. One set of weights runs with the crop, with its length alone and with
+    are normalised, since metres and dBm differ in size; of the three entries of p, the index of the access
+    point is dropped, which means nothing at another site (FFNN1 of Table II takes two as well); links need
+    not look at the plan. One set of weights runs with the crop, with its length alone and with
     neither: where a link does not see its crop, a small FFNN of the length or a learned vector stand in for
     DeepViT's features. Trained on all three (``FPDNNTask``), it shows what the plan is worth.
 

@@ -74,8 +74,11 @@ class Generator(nn.Module):
     """The paper's DNN φ_D(d, I): true distance and crop to RTT and RSS, as a distribution.
 
     Paper: Yu et al., section "Synthetic Data Generation", Table II (FFNN3, FFNN4). Changed: the output is a
-    distribution, not a conditional mean, since means make data that are too clean; no final ReLU, which
-    could not give a signal strength in dBm; distance and signal strength are normalised.
+    distribution, not a conditional mean, since means make data that are too clean: FFNN4 ends in six values
+    instead of two; no ReLU behind it, which could not give a signal strength in dBm, and no dropout, which
+    would set outputs to zero at random; distance and signal strength are normalised. FFNN3, "the same
+    structure" as FFNN1, takes two inputs, while the paper has one, the distance: the other is its logarithm,
+    in which path loss is linear.
 
     Args:
         vision: The network on crops.

@@ -29,14 +29,15 @@ class GNN(MessagePassing):
     Paper: Yu et al., section "Graph Neural Network", Table II:
     :math:`m_{mn} = \phi(h_n, e_{mn})`, :math:`\beta_m = \mathrm{mean}_n\, m_{mn}`,
     :math:`h_m \leftarrow \varphi(h_m, \beta_m)`; the output after L_g layers is the coarse position.
-    Widths 9 → 8 → 2 and 7 → 8 → 2 are the published ones. Changed, so that the network carries to an unseen
-    site: positions enter relative to the device (a neighbour is seen as the residual vector of its range,
-    its distance, its residual and whether it is a device;
-    an edge also as what its RSS falls short of free space), the device's own features are its number of
-    neighbours, mean and RMS residual and its displacement so far, and the update adds to the position
-    instead of replacing it, without the final ReLU that could give no negative coordinate. So the result
-    moves with the frame and does not depend on the order of access points or devices. The published edge
-    feature also holds the neighbour's index n. ``index_width`` brings it back for comparison: then a network
+    Widths 9 → 8 → 2 and 7 → 8 → 2 are the published ones; they fit a node feature of five and an edge feature
+    of four, and the paper does not say what all of these are. Its parameters carry no layer index, so layers
+    share weights.
+    Changed, so that the network carries to an unseen site: positions enter relative to the device (a neighbour
+    is seen as the residual vector of its range, its distance, its residual and whether it is a device; an edge
+    also as what its RSS falls short of free space), the device's own features are its number of neighbours,
+    mean and RMS residual and its displacement so far, and the update adds to the position instead of replacing
+    it, without the final ReLU that could give no negative coordinate. So the result moves with the frame and
+    does not depend on the order of access points or devices. The published edge feature also holds the neighbour's index n. ``index_width`` brings it back for comparison: then a network
     can learn each access point's own faults, the result depends on the order in which access points are
     listed, and at another site, where the numbers stand for others, what was learned misleads.
 
