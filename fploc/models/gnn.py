@@ -37,9 +37,10 @@ class GNN(MessagePassing):
     also as what its RSS falls short of free space), the device's own features are its number of neighbours,
     mean and RMS residual and its displacement so far, and the update adds to the position instead of replacing
     it, without the final ReLU that could give no negative coordinate. So the result moves with the frame and
-    does not depend on the order of access points or devices. The published edge feature also holds the neighbour's index n. ``index_width`` brings it back for comparison: then a network
-    can learn each access point's own faults, the result depends on the order in which access points are
-    listed, and at another site, where the numbers stand for others, what was learned misleads.
+    does not depend on the order of access points or devices.
+    The published edge feature also holds the neighbour's index n. ``index_width`` brings it back for comparison:
+    then a network can learn each access point's own faults, the result depends on the order in which access
+    points are listed, and at another site, where the numbers stand for others, what was learned misleads.
 
     Args:
         hidden: Hidden width of φ and of the update.
