@@ -23,8 +23,8 @@ from fploc.cli import main
 from fploc.datasets.download import Patience, download
 from fploc.datasets.packed import read_packed
 from fploc.evaluation.records import Record, tracked_record
-from fploc.experiments.preset import Preset
 from fploc.experiments.plan import Scoring
+from fploc.experiments.preset import Preset
 from fploc.experiments.reproduce import EXPERIMENT, Reproduction
 from fploc.experiments.scoring import data_hash
 from fploc.experiments.world import World
