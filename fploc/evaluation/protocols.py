@@ -35,6 +35,8 @@ POOLED_SITES = (
     "shopping-mall",
 )
 """Public sites to learn from together; the canteen and the car park are kept for judging from outside."""
+MADE_UP_SITES = ("made-up-1", "made-up-2", "made-up-3")
+"""Made-up buildings that stand in for them where they cannot be had; others may be packed beside them."""
 VALIDATION_SITES = ("library", "laboratory", "made-up-2", "made-up-3")
 """Of pooled sources, the first of these that is there validates."""
 SOURCE_FLOOR = ("conference-room", *MOVED_SITES)
@@ -147,7 +149,9 @@ class EvaluationProtocol:
         others = [
             one.name
             for one in known
-            if one.place != target.place and (one.made_up if target.made_up else one.name in POOLED_SITES)
+            if one.place != target.place
+            and one.made_up == target.made_up
+            and one.name in (*POOLED_SITES, *MADE_UP_SITES)
         ]
         return list(dict.fromkeys([self.source, *sorted(others)]))
 

@@ -153,7 +153,9 @@ class Learner:
 
     def _taken_over(self, learning: Learning, preset: Preset, start: Artifact | None) -> Trained | None:
         """Return what needs no training: without virtual intervals, a zero-shot target teaches nothing."""
-        if preset.streams == "measured" and start is not None:
+        protocol = protocol_of(learning.protocol, self.source)
+        measured_elsewhere = protocol.pools or protocol.tested is Tested.SECOND_PART
+        if preset.streams == "measured" and start is not None and not measured_elsewhere:
             return trained_from(start)
         if learning.ablation and preset.trains_like(self.preset):
             return trained_from(self._load("gnn-fpdnn", self._unchanged(learning)))

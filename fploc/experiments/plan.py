@@ -124,13 +124,15 @@ def learnings(preset: Preset, protocols: Mapping[str, Sequence[str]], source: st
             if protocol not in TRAINED_ELSEWHERE:
                 for site in sites:
                     yield Learning(protocol, site, seed)
+    ablated = [site for site in preset.ablation_targets if site in protocols.get(ZERO_SHOT, ())]
+    if not ablated:
+        return
     for seed in preset.ablation_seeds:
         for ablation in preset.ablations:
             if preset.variant(ablation).streams != "virtual":
                 yield Learning(SEEN, source, seed, ablation)
-            for site in preset.ablation_targets:
-                if site in protocols.get(ZERO_SHOT, ()):
-                    yield Learning(ZERO_SHOT, site, seed, ablation)
+            for site in ablated:
+                yield Learning(ZERO_SHOT, site, seed, ablation)
 
 
 def scorings(preset: Preset, protocols: Mapping[str, Sequence[str]]) -> Iterator[Scoring]:

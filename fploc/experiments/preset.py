@@ -124,7 +124,7 @@ class Preset:
         return replace(
             self,
             name=f"{self.name}{VARIANT}{ablation}",
-            network_changes=change.networks,
+            network_changes=merged(self.network_changes, change.networks),
             **{
                 key: value
                 for key in ("solver", "streams", "sight_shares", "augmentation")

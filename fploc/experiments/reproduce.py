@@ -38,7 +38,7 @@ from fploc.experiments.plan import (
 )
 from fploc.experiments.preset import Preset, read_preset
 from fploc.experiments.reporting import FACTS, FIGURES, PAGE, RECORDS, Report
-from fploc.experiments.scoring import Scored, scored
+from fploc.experiments.scoring import PLANS, Scored, scored
 from fploc.experiments.stages import Stage, StageBook
 from fploc.experiments.synthesize import MATCH, synthesize
 from fploc.experiments.training import Loggers
@@ -109,8 +109,9 @@ class Reproduction:
         return list(learnings(self.preset, self.protocols, self.world.source))
 
     def scorings(self) -> list[Scoring]:
-        """Return everything to score."""
-        return list(scorings(self.preset, self.protocols))
+        """Return everything to score; the plan of another site only where that is packed."""
+        everything = scorings(self.preset, self.protocols)
+        return [one for one in everything if one.plan in PLANS or one.plan in self.packed]
 
     def _calibration_stage(self) -> Stage:
         return self._stage(
