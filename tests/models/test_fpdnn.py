@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import copy
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from fploc.conf import instantiate, read_conf
 from fploc.errors import UnknownNameError
 from fploc.filters.kalman import KalmanSettings
 from fploc.floorplan.raster import PlanRaster
@@ -182,6 +186,38 @@ def test_gradients_reach_every_parameter_from_all_three_sights() -> None:
 def test_measurement_is_centred_and_scaled() -> None:
     scaled = normalised_measurement(torch.tensor([10.0, 30.0]), torch.tensor([-65.0, -85.0]))
     assert scaled.tolist() == [[0.0, 0.0], [2.0, -2.0]]
+
+
+@pytest.mark.parametrize(
+    ("vision", "head"),
+    [
+        ({"attention_norm": "batch"}, None),
+        ({"attention_norm": "layer"}, None),
+        ({"attention_norm": "none"}, None),
+        ({"crop_height_px": 40, "max_length_px": 400, "patch_px": [40, 20]}, None),
+        (
+            {},
+            {
+                "class_path": "fploc.models.fpdnn.DistanceHead",
+                "init_args": {"features": 64, "output": "relu"},
+            },
+        ),
+    ],
+)
+def test_what_is_compared_can_be_asked_for_in_a_configuration(
+    vision: dict[str, Any], head: dict[str, Any] | None
+) -> None:
+    spec = copy.deepcopy(read_conf("model", "fpdnn"))
+    spec["init_args"]["vision"]["init_args"] |= vision
+    spec["init_args"]["head"] = head or spec["init_args"]["head"]
+    fpdnn = instantiate(FPDNN, spec)
+    plan = PlanRaster(torch.rand(120, 140), torch.tensor([[10.0, 0, 5], [0, -10.0, 110]]))
+    crops = fpdnn.vision.crops.crop(
+        plan, torch.zeros(3, 2), torch.tensor([[9.0, 1.0], [3.0, 8.0], [0.1, 0.0]])
+    )
+    fpdnn(crops.images, crops.lengths_px, *links(3)[2:]).square().sum().backward()
+    assert fpdnn.vision.crops.max_length_px / fpdnn.vision.crops.pixels_per_metre == 40.0
+    assert all(torch.isfinite(p.grad).all() for p in fpdnn.parameters() if p.grad is not None)
 
 
 def test_ffnn1_has_the_published_layers() -> None:
