@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 PRESET ?= default
 DATA ?= $(or $(FPLOC_DATA),data)
 RUNS ?= runs
+WORKERS ?= 2
 
 # Small batches on few cores: one thread each is faster than threads that wait for each other spinning.
 export OMP_NUM_THREADS ?= 1
@@ -13,7 +14,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks describe lock wheel clean
+.PHONY: help install reproduce test lint ui notebooks results describe lock wheel clean
 
 help: ## List every target
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -27,8 +28,8 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[all,dev]'
 	@touch $@
 
-reproduce: install ## Get data, train, evaluate, tabulate; PRESET=smoke|default|full|paper; resumes
-	@$(BIN)/fploc reproduce --preset $(PRESET) --data-root $(DATA) --runs $(RUNS)
+reproduce: install ## Get data, train, evaluate, tabulate; PRESET=smoke|default|full|published|paper; resumes
+	@$(BIN)/fploc reproduce --preset $(PRESET) --data-root $(DATA) --runs $(RUNS) --workers $(WORKERS)
 
 test: install ## Run the whole test suite (under 15 minutes)
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
@@ -45,6 +46,10 @@ ui: install ## Open the MLflow comparison on http://127.0.0.1:5000
 
 notebooks: install ## Execute the notebooks on the results under runs/
 	@FPLOC_RUNS=$(abspath $(RUNS)) $(BIN)/python -m pytest --nbmake notebooks -o testpaths=notebooks
+
+results: install ## Write docs/results.md from finished runs of the presets full and published
+	@$(BIN)/python benchmarks/virtual_stream.py --data-root $(DATA) --json > $(RUNS)/virtual-stream.json
+	@$(BIN)/python -m fploc.experiments.results_docs $(RUNS) docs
 
 describe: install ## Count what the packed sites hold and draw them
 	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/overlays

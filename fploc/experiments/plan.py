@@ -13,6 +13,10 @@ SEES_THE_PLAN = "gnn-fpdnn"
 SEEN, ZERO_SHOT = "seen", "zero-shot"
 TRAINED_ELSEWHERE = ("multi-device",)
 HEADLINE_PLAN = "real"
+JOINT_METHODS = ("lls", "nls", "nls-robust", "nls-onesided", "trilateration", *LEARNED_METHODS)
+"""Methods that can take another device as one more anchor."""
+SEEN_ONLY = ("knn",)
+"""Fingerprints know no place that they were not taken at."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,13 @@ class Scoring:
         return VARIANT.join(
             [self.protocol, self.site, self.method, *filter(None, special), f"seed-{self.seed}"]
         )
+
+
+def methods_for(protocol: str, preset: Preset) -> list[str]:
+    """Return those of a preset's methods that a protocol can be run with."""
+    if protocol in TRAINED_ELSEWHERE:
+        return [one for one in preset.methods if one in JOINT_METHODS]
+    return [one for one in preset.methods if protocol == SEEN or one not in SEEN_ONLY]
 
 
 def is_headline(scoring: Scoring, preset: Preset) -> bool:
@@ -139,7 +150,7 @@ def scorings(preset: Preset, protocols: Mapping[str, Sequence[str]]) -> Iterator
     """Yield everything to score."""
     for protocol, sites in protocols.items():
         for site in sites:
-            for method in preset.methods:
+            for method in methods_for(protocol, preset):
                 seeds = preset.seeds if method in LEARNED_METHODS else preset.seeds[:1]
                 for seed in seeds:
                     for thin in preset.thins if protocol == ZERO_SHOT else preset.thins[:1]:

@@ -1,0 +1,74 @@
+"""``make results``: docs/results.* from finished runs of the presets ``full`` and ``published``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from fploc.errors import MissingFileError
+from fploc.evaluation.records import read_tracked_records, write_records
+from fploc.evaluation.results_page import results_page
+from fploc.experiments.reporting import FACTS, RECORDS
+from fploc.files import whole
+
+BASE, WIDE = "full", "published"
+RATES = "virtual-stream.json"
+DOCUMENT = "results"
+
+
+def update_docs(runs: Path, docs: Path) -> Path:
+    """Write records, facts and page of the results below ``docs`` and return the page.
+
+    Args:
+        runs: Folder of runs; ``published`` and the rates of virtual streams may be missing from it.
+        docs: Folder of documents.
+
+    Raises:
+        MissingFileError: If the preset ``full`` was not run to its end.
+    """
+    presets = [name for name in (BASE, WIDE) if name == BASE or (runs / name / FACTS).is_file()]
+    records = [one for name in presets for one in read_tracked_records(runs / name / RECORDS)]
+    facts = {name: _facts(runs / name / FACTS) for name in presets}
+    costs = [row | {"preset": name} for name, own in facts.items() for row in own["training_cost"]]
+    joined = facts[BASE] | {"training_cost": costs, "virtual_rates": _rates(runs / RATES)}
+    write_records(records, docs / f"{DOCUMENT}.jsonl")
+    _write(docs / f"{DOCUMENT}-facts.json", json.dumps(joined, indent=1) + "\n")
+    page = docs / f"{DOCUMENT}.md"
+    _write(page, page_of(docs))
+    return page
+
+
+def page_of(docs: Path) -> str:
+    """Return the results page that the records and facts below ``docs`` make."""
+    records = read_tracked_records(docs / f"{DOCUMENT}.jsonl")
+    return results_page(records, json.loads((docs / f"{DOCUMENT}-facts.json").read_text(encoding="utf-8")))
+
+
+def _facts(file: Path) -> dict[str, Any]:
+    if not file.is_file():
+        preset = file.parent.name
+        raise MissingFileError(
+            file, expected="facts of a finished run", way_out=f"run `fploc reproduce --preset {preset}`"
+        )
+    return dict(json.loads(file.read_text(encoding="utf-8")))
+
+
+def _rates(file: Path) -> dict[str, float]:
+    """Return links per second by what was measured; nothing where it was not."""
+    if not file.is_file():
+        return {}
+    return {
+        f"{row['network']} on {row['site']}, threads: {row['threads']}": row["links_per_s"]
+        for row in json.loads(file.read_text(encoding="utf-8"))
+    }
+
+
+def _write(file: Path, text: str) -> None:
+    with whole(file) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    print(update_docs(Path(sys.argv[1]), Path(sys.argv[2])))  # noqa: T201
