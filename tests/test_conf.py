@@ -114,12 +114,12 @@ def test_patches_that_do_not_divide_the_crop_are_refused(patch_px: list[int]) ->
 
 
 def test_unknown_preset_lists_the_known_ones() -> None:
-    with pytest.raises(UnknownNameError, match=r"'huge'.*default, full, paper, smoke"):
+    with pytest.raises(UnknownNameError, match=r"'huge'.*default, full, paper, published, smoke"):
         read_preset("huge")
 
 
 @pytest.mark.parametrize(
-    ("text", "named"), [("seeds: [0]\n", "solver"), ("colour: red\n", "colour"), ("{}\n", "thin")]
+    ("text", "named"), [("seeds: [0]\n", "solver"), ("colour: red\n", "colour"), ("{}\n", "seeds")]
 )
 def test_missing_and_unknown_keys_of_a_preset_are_named(own_conf: Path, text: str, named: str) -> None:
     (own_conf / "preset" / "mine.yaml").write_text(text)

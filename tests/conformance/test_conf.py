@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import re
 import shlex
-from dataclasses import replace
 
 import pytest
 import torch
 
+from fploc.cli import make_parser
 from fploc.conf import conf_folder, instantiate, read_conf
-from fploc.experiments.preset import PRESETS, read_preset
-from fploc.experiments.scoring import METHODS
+from fploc.evaluation.protocols import PROTOCOLS, protocol_of
+from fploc.experiments.preset import NETWORKS, PRESETS, read_ablation, read_preset
+from fploc.experiments.scoring import METHODS, PLANS, range_solver
 from fploc.floorplan.raster import PlanRaster
 from fploc.graphs.radio_graph import radio_graph
 from fploc.intervals import Intervals
-from fploc.methods.registry import geometric_method
+from fploc.methods.registry import SOURCE_FITTED_METHODS, geometric_method
 from fploc.models.deepvit import CROP_WIDTH_M, DeepViT
 from fploc.models.fpdnn import FPDNN, Sight
 from fploc.models.generator import Generator
@@ -22,6 +24,7 @@ from fploc.models.gnn import GNN
 from fploc.sites.registry import known_sites
 
 LONGEST_LINK_M = 40.0
+HELD_OUT = {"canteen", "carpark"}
 
 
 def names(group: str) -> list[str]:
@@ -53,9 +56,12 @@ def check_crops(vision: DeepViT) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 @pytest.mark.parametrize("name", names("model"))
-@torch.no_grad()
 def test_every_model_runs_on_input_of_its_own_size(name: str) -> None:
-    network = made(name)
+    check_runs(made(name))
+
+
+@torch.no_grad()
+def check_runs(network: torch.nn.Module) -> None:
     match network:
         case FPDNN():
             images, lengths_px = check_crops(network.vision)
@@ -106,7 +112,8 @@ def test_small_networks_are_smaller_than_the_published_ones() -> None:
 def test_every_method_file_is_that_of_a_method(name: str) -> None:
     described = read_conf("method", name)
     assert described.keys() == {"class_path", "init_args"}
-    assert geometric_method(name).name == name
+    method = SOURCE_FITTED_METHODS[name]() if name in SOURCE_FITTED_METHODS else geometric_method(name)
+    assert method.name == name
 
 
 @pytest.mark.parametrize("name", names("preset"))
@@ -119,8 +126,16 @@ def test_every_preset_is_read_and_names_what_exists(name: str) -> None:
         "gnn": GNN,
         "fpdnn": FPDNN,
     }
-    assert preset.solver in {"lls", "nls"} and preset.labels in {"published", "repaired"}
-    assert set(preset.targets) <= set(known_sites()) - {"office"}
+    assert callable(range_solver(preset.solver))
+    assert preset.labels in {"published", "repaired"}
+    assert len(preset.protocols) == len(set(preset.protocols)) > 0
+    for protocol, sites in preset.protocols.items():
+        assert len(set(sites)) == len(sites) > 0
+        assert set(sites) <= set(known_sites()) - HELD_OUT
+        for site in sites:
+            protocol_of(protocol).check_target(site)
+    assert set(preset.plans) <= {*PLANS, *known_sites()} - {"real", *HELD_OUT}
+    assert set(preset.synthesized) <= set(known_sites()) - HELD_OUT
     assert set(preset.methods) <= set(METHODS) and len(set(preset.methods)) == len(preset.methods) > 0
     assert set(preset.epochs) == {"generator", "gnn", "fpdnn", "gnn_adapted", "fpdnn_adapted"}
     assert set(preset.learning_rates) == {"generator", "gnn", "fpdnn"}
@@ -129,10 +144,16 @@ def test_every_preset_is_read_and_names_what_exists(name: str) -> None:
         *preset.epochs.values(),
         preset.batch_intervals,
         preset.batches_per_epoch,
-        preset.thin,
+        *preset.thins,
     ]
     assert all(type(count) is int for count in counts) and min(preset.epochs.values()) > 0
-    assert len(set(preset.seeds)) == len(preset.seeds) > 0
+    assert all(count > 0 for count in preset.thins)
+    for listed in (preset.seeds, preset.thins, preset.plans, preset.ablations, preset.synthesized):
+        assert len(set(listed)) == len(listed)
+    assert preset.seeds and preset.thins
+    assert set(preset.ablation_seeds) <= set(preset.seeds)
+    assert set(preset.ablation_targets) <= set(preset.protocols.get("zero-shot", ()))
+    assert sum(preset.sight_shares) == pytest.approx(1.0) and min(preset.sight_shares) >= 0.0
     assert 0.0 <= preset.random_layout_share <= 1.0
     assert all(0 < rate < 1 for rate in preset.learning_rates.values())
 
@@ -145,7 +166,9 @@ def first_command(group: str, name: str) -> list[str]:
 
 @pytest.mark.parametrize("name", names("preset"))
 def test_every_preset_begins_with_the_command_that_runs_it(name: str) -> None:
-    assert first_command("preset", name) == ["fploc", "reproduce", "--preset", name]
+    words = first_command("preset", name)
+    assert words[:4] == ["fploc", "reproduce", "--preset", name]
+    assert make_parser().parse_args(words[1:]).reproduce.preset == name
 
 
 @pytest.mark.parametrize("name", names("experiment"))
@@ -163,10 +186,33 @@ def test_fingerprints_tell_presets_apart_and_stay() -> None:
     assert prints == [read_preset(name).fingerprint for name in PRESETS]
 
 
-def test_another_method_in_the_table_trains_nothing_anew() -> None:
-    preset = read_preset("default")
-    assert replace(preset, methods=(*preset.methods, "magic")).fingerprint == preset.fingerprint
-    assert replace(preset, thin=7).fingerprint != preset.fingerprint
+@pytest.mark.parametrize("name", names("ablation"))
+def test_every_ablation_says_in_one_sentence_what_it_shows_and_changes_what_it_says(name: str) -> None:
+    full = read_preset("full")
+    change, said = read_ablation(name), read_conf("ablation", name)
+    assert re.fullmatch(r"[A-Z].*[^ .]\.", change.reason) and ". " not in change.reason, "one sentence"
+    assert len(said) > 1, "a reason and at least one change"
+    variant = full.variant(name)
+    for key in set(said) - {"reason", "networks"}:
+        assert getattr(variant, key) == getattr(change, key) != getattr(full, key)
+    specs, plain = variant.network_specs, full.network_specs
+    assert {part for part in NETWORKS if specs[part] != plain[part]} == set(said.get("networks", {}))
+    unsaid = {"solver", "streams", "sight_shares", "augmentation"} - set(said)
+    assert all(getattr(variant, key) == getattr(full, key) for key in unsaid)
+    assert variant.fingerprint != full.fingerprint
+
+
+@pytest.mark.parametrize("name", names("ablation"))
+def test_every_ablation_makes_networks_that_run(name: str) -> None:
+    torch.manual_seed(0)
+    for spec in read_preset("full").variant(name).network_specs.values():
+        check_runs(instantiate(torch.nn.Module, spec).eval())
+
+
+def test_full_trains_every_ablation_and_every_protocol() -> None:
+    full = read_preset("full")
+    assert set(full.ablations) == set(names("ablation"))
+    assert set(full.protocols) == {one.name for one in PROTOCOLS}
 
 
 def test_paper_preset_trains_as_published() -> None:
