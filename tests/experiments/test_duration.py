@@ -9,7 +9,10 @@ import pytest
 from datamodules.measured import MeasuredDataModule
 from fploc.experiments import duration
 from fploc.experiments.duration import announce_duration, estimate_seconds, training_steps, virtual_draws
+from fploc.experiments.plan import Learning
 from fploc.experiments.preset import Preset
+
+CHAINS = (Learning("seen", "office", 0), Learning("zero-shot", "laboratory", 0))
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +27,16 @@ def measured(tmp_path_factory: pytest.TempPathFactory, pack: Any) -> MeasuredDat
 def test_steps_are_counted_over_epochs_streams_targets_and_seeds(miniature: Preset) -> None:
     epochs = {"generator": 3, "gnn": 7, "fpdnn": 5, "gnn_adapted": 11, "fpdnn_adapted": 2}
     preset = replace(miniature, epochs=epochs, batches_per_epoch=10, seeds=(0, 1))
-    assert training_steps(preset, 3) == {"generator": 3 * 10 * 2, "fpdnn": 2 * (5 + 3 * 2) * 10 * 2}
-    assert training_steps(preset, 0) == {"generator": 60, "fpdnn": 2 * 5 * 10 * 2}
+    targets = [
+        Learning(protocol, "laboratory", seed)
+        for protocol in ("zero-shot", "fine-tuned", "zero-shot-pooled")
+        for seed in (0, 1)
+    ]
+    sources = [Learning("seen", "office", seed) for seed in (0, 1)]
+    every = [*sources, *targets]
+    assert training_steps(preset, every) == {"generator": 3 * 10 * 2, "fpdnn": 2 * (5 + 3 * 2) * 10 * 2}
+    assert training_steps(preset, sources) == {"generator": 60, "fpdnn": 2 * 5 * 10 * 2}
+    assert training_steps(preset, []) == {"generator": 60, "fpdnn": 0}
 
 
 def test_the_estimate_is_steps_times_the_time_of_one(
@@ -39,10 +50,10 @@ def test_the_estimate_is_steps_times_the_time_of_one(
         return 2.0
 
     monkeypatch.setattr(duration, "_seconds", two_seconds)
-    steps = training_steps(miniature, 1)
-    draws = virtual_draws(miniature, 1)
+    steps = training_steps(miniature, CHAINS)
+    draws = virtual_draws(miniature, CHAINS)
     assert draws == miniature.pool_batches * 2 * len(miniature.seeds)
-    assert estimate_seconds(miniature, measured, 1, "cpu") == 2.0 * (sum(steps.values()) + draws)
+    assert estimate_seconds(miniature, measured, CHAINS, "cpu") == 2.0 * (sum(steps.values()) + draws)
     assert len(ran) == 3
 
 
@@ -60,7 +71,7 @@ def test_one_line_says_how_long_it_takes(
 ) -> None:
     monkeypatch.setattr(duration, "estimate_seconds", lambda *_: seconds)
     monkeypatch.setattr(duration.torch.cuda, "is_available", lambda: False)
-    announce_duration(miniature, measured, 1)
+    announce_duration(miniature, measured, CHAINS)
     out, err = capsys.readouterr()
     assert out == "" and err == f"preset smoke: trainings take {said}\n"
 
@@ -68,7 +79,7 @@ def test_one_line_says_how_long_it_takes(
 def test_the_real_estimate_is_a_short_time(
     miniature: Preset, measured: MeasuredDataModule, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    announce_duration(miniature, measured, 1)
+    announce_duration(miniature, measured, CHAINS)
     assert re.fullmatch(
         r"preset smoke: trainings take about 0:00:\d\d on this \w+\n", capsys.readouterr().err
     )
