@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import TypedDict
 
 import torch
-from rich.console import Console
-from rich.table import Table
 
 from fploc.conf import instantiate, read_conf
 from fploc.datasets.packed import read_packed
 from fploc.models.generator import Generator
+from fploc.progress import print_table
 from fploc.virtual.dropout import Dropout
 from fploc.virtual.site import VirtualSite
 
@@ -101,17 +100,24 @@ def main() -> None:
     parser.add_argument("--paper-draws", type=int, default=2, help="draws at the published widths; 0: none")
     parser.add_argument("--paper-pairs", type=int, default=2, help="pairs of devices of each of these")
     parser.add_argument("--json", action="store_true", help="JSON instead of a table")
-    measured = rates(parser.parse_args())
-    console = Console()
-    if parser.parse_args().json:
-        console.print_json(json.dumps(list(measured)))
+    options = parser.parse_args()
+    measured = list(rates(options))
+    if options.json:
+        print(json.dumps(measured, indent=2))  # noqa: T201
         return
-    table = Table("site", "network", "threads", "draws", "links", "links/s", "links/CPU s")
-    for row in measured:
-        counts = (row["threads"], row["draws"], row["links"])
-        speeds = (f"{row[name]:,.0f}" for name in ("links_per_s", "links_per_cpu_s"))
-        table.add_row(row["site"], row["network"], *map(str, counts), *speeds)
-    console.print(table)
+    print_table(
+        [
+            {
+                "site": row["site"],
+                "network": row["network"],
+                "threads": str(row["threads"]),
+                "links": str(row["links"]),
+                "links/s": f"{row['links_per_s']:,.0f}",
+                "links/CPU s": f"{row['links_per_cpu_s']:,.0f}",
+            }
+            for row in measured
+        ]
+    )
 
 
 if __name__ == "__main__":
