@@ -31,7 +31,7 @@ DATA_COMMANDS = {
     "describe": "Count what packed sites hold, draw them. Example: fploc data describe --out overlays",
 }
 COMMANDS = {
-    "": ("data", "made-up", "fit", "synthesize", "evaluate", "reproduce"),
+    "": ("data", "made-up", "fit", "synthesize", "evaluate", "tune", "bench", "reproduce"),
     "data": tuple(DATA_COMMANDS),
 }
 PRINTED = "-"
@@ -90,6 +90,8 @@ def make_parser() -> ArgumentParser:
         "synthesize", _synthesize_parser(), help="Draw what the trained generator says of a packed site."
     )
     commands.add_subcommand("evaluate", _evaluate_parser(), help="Score a method on a packed site.")
+    commands.add_subcommand("tune", _tune_parser(), help="Choose a method's settings on the source.")
+    commands.add_subcommand("bench", _bench_parser(), help="Time one fix of every method.")
     commands.add_subcommand(
         "reproduce", _reproduce_parser(), help="Get data, train, evaluate, tabulate: `make reproduce`."
     )
@@ -211,13 +213,50 @@ def _evaluate_parser() -> ArgumentParser:
     return parser
 
 
+def _tune_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Choose the settings of a method on the source and write them to conf/method/. "
+        "Example: fploc tune --method nls",
+        exit_on_error=False,
+    )
+    parser.add_argument("--method", type=str, required=True, help="Name of the method.")
+    parser.add_argument("--trials", type=int, default=40, help="Settings to try, the same for every method.")
+    parser.add_argument("--seed", type=int, default=0, help="Of the search.")
+    _add_data_root(parser)
+    _add_printed_json(parser)
+    return parser
+
+
+def _bench_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Time one fix of every method, single and in a batch, with one thread and with all. "
+        "Example: fploc bench --site shopping-mall",
+        exit_on_error=False,
+    )
+    parser.add_argument(
+        "--site", type=str, default="shopping-mall", help="Packed site to take readings from."
+    )
+    parser.add_argument(
+        "--methods", type=str | None, default=None, help="Names, commas between. Default: all."
+    )
+    parser.add_argument("--fixes", type=int, default=1000, help="To time at least, of each method.")
+    parser.add_argument("--seed", type=int, default=0, help="Seed of trained artifacts.")
+    parser.add_argument("--preset", type=str, default="default", help="Preset of trained artifacts.")
+    _add_data_root(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of trained artifacts.")
+    _add_printed_json(parser)
+    return parser
+
+
 def _reproduce_parser() -> ArgumentParser:
     parser = ArgumentParser(
         description="Get data, build, train, evaluate, tabulate. Resumes where it was interrupted. "
         "Example: fploc reproduce --preset smoke",
         exit_on_error=False,
     )
-    parser.add_argument("--preset", type=str, default="default", help="smoke, default, full, published or paper.")
+    parser.add_argument(
+        "--preset", type=str, default="default", help="smoke, default, full, published or paper."
+    )
     parser.add_argument(
         "--workers", type=int, default=1, help="Processes to run stages in side by side: one for each core."
     )
@@ -232,6 +271,8 @@ def _runner(options: Namespace) -> int:
         "made-up": _run_made_up,
         "synthesize": _run_synthesize,
         "evaluate": _run_evaluate,
+        "tune": _run_tune,
+        "bench": _run_bench,
         "reproduce": _run_reproduce,
     }
     runners[options.command](options[options.command])
@@ -439,6 +480,34 @@ def _require_place(file: Path) -> None:
             expected="a file in a folder that exists",
             way_out="name a file in it" if file.is_dir() else "make the folder or name another",
         )
+
+
+def _run_tune(options: Namespace) -> None:
+    from fploc.experiments.tune import tune, write_tuned
+
+    tuned = tune(options.method, trials=options.trials, seed=options.seed, data_root=options.data_root)
+    values = {**tuned.settings, "rmse before, m": tuned.before, "rmse after, m": tuned.after}
+    _print({**values, "written": str(write_tuned(options.method, tuned))}, as_json=bool(options.json))
+
+
+def _run_bench(options: Namespace) -> None:
+    from fploc.experiments.bench import bench
+
+    named = None if options.methods is None else [name.strip() for name in options.methods.split(",")]
+    timings = bench(
+        options.site,
+        named,
+        fixes=options.fixes,
+        preset=options.preset,
+        seed=options.seed,
+        data_root=options.data_root,
+        runs=options.runs,
+    )
+    rows = [timing.as_json() for timing in timings]
+    if options.json:
+        print(json.dumps(rows, indent=2))  # noqa: T201
+    else:
+        _print_rows([{name: _text(value) for name, value in row.items()} for row in rows], as_json=False)
 
 
 def _run_reproduce(options: Namespace) -> None:

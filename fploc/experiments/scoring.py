@@ -15,6 +15,7 @@ from fploc.evaluation.evaluate import (
     evaluate,
     records_of,
     source_offsets,
+    source_recordings,
     tracks_of,
 )
 from fploc.evaluation.multi_device import multi_device_records
@@ -22,6 +23,7 @@ from fploc.evaluation.protocols import PUBLIC_SOURCE, EvaluationProtocol, Target
 from fploc.evaluation.records import Record
 from fploc.experiments.plan import LEARNED_METHODS
 from fploc.experiments.preset import VARIANT, check_preset
+from fploc.experiments.source_fit import check_protocol, fitted_on
 from fploc.experiments.training import trained_from
 from fploc.filters.kalman import KalmanSettings
 from fploc.floorplan.plan import FloorPlan
@@ -29,19 +31,24 @@ from fploc.floorplan.raster import PlanRaster
 from fploc.localizer import Track
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
-from fploc.methods.interface import Calibrated, Method
+from fploc.methods.interface import Method
+from fploc.methods.nls_onesided import nls_onesided
 from fploc.methods.one_shot import RangeSolver
-from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
+from fploc.methods.registry import (
+    GEOMETRIC_METHODS,
+    SOURCE_FITTED_METHODS,
+    default_calibration,
+    geometric_method,
+)
 from fploc.models.fpdnn import Sight
 from fploc.solvers.linear import solve_linear
 from fploc.solvers.nonlinear import solve_nonlinear
 
-METHODS = (*GEOMETRIC_METHODS, *LEARNED_METHODS)
+METHODS = (*GEOMETRIC_METHODS, *SOURCE_FITTED_METHODS, *LEARNED_METHODS)
 DEFAULT_CALIBRATION = "source-los"
 BEFORE_TUNING = "before fine-tuning"
 PLANS = {"real": Sight.PLAN, "blank": Sight.PLAN, "length": Sight.LENGTH, "none": Sight.NOTHING}
 """What FPDNN is given under each value of --plan that names no site."""
-SOLVERS: dict[str, RangeSolver] = {"lls": solve_linear, "nls": solve_nonlinear}
 
 
 @dataclass(frozen=True)
@@ -75,12 +82,6 @@ def artifacts_folder(runs: Path) -> Path:
     return runs / "artifacts"
 
 
-def default_calibration(name: str) -> str:
-    """Return the calibration that the method ``name``, which needs no training, runs with unless asked."""
-    method = geometric_method(name)
-    return method.default_calibration if isinstance(method, Calibrated) else DEFAULT_CALIBRATION
-
-
 def ready_method(
     name: str, request: EvaluationRequest, calibration: str | None, data_root: Path, runs: Path
 ) -> ReadyMethod:
@@ -101,7 +102,7 @@ def ready_method(
     if name not in LEARNED_METHODS:
         own = default_calibration(name) if calibration is None else calibration
         offsets = source_offsets(replace(request, calibration=own), data_root)
-        return ReadyMethod(geometric_method(name), offsets, artifact=None)
+        return ReadyMethod(_untrained_method(name, request, offsets, data_root), offsets, artifact=None)
     protocol = protocol_of(request.protocol, request.source)
     protocol.check_target(request.site)
     target = read_packed(data_root, request.site)
@@ -121,6 +122,17 @@ def ready_method(
         offsets,
         artifact=str(key.folder(Path())),
     )
+
+
+def _untrained_method(
+    name: str, request: EvaluationRequest, offsets: RangeOffsets, data_root: Path
+) -> Method:
+    """Return a method that needs no artifact: of pure geometry, or fitted on the source now."""
+    if name not in SOURCE_FITTED_METHODS:
+        return geometric_method(name)
+    learner = SOURCE_FITTED_METHODS[name]()
+    check_protocol(learner, protocol_of(request.protocol, request.source))
+    return fitted_on(learner, source_recordings(request, data_root), offsets)
 
 
 def _learned_and_tested(
@@ -143,6 +155,16 @@ def check_method(name: str) -> None:
         raise UnknownNameError("--method", name, known=list(METHODS), way_out="choose one of these")
 
 
+def range_solver(name: str) -> RangeSolver:
+    """Return the solver behind FPDNN: ``lls`` (published), ``nls`` or ``nls-onesided``."""
+    solvers: dict[str, RangeSolver] = {
+        "lls": solve_linear,
+        "nls": solve_nonlinear,
+        "nls-onesided": nls_onesided().solver,
+    }
+    return solvers[name]
+
+
 def learned_method(
     artifact: Artifact, plan: FloorPlan, filter_settings: KalmanSettings, sight: Sight = Sight.PLAN
 ) -> Method:
@@ -163,7 +185,7 @@ def learned_method(
         network=trained.fpdnn,
         plan=PlanRaster.of(plan),
         crops=trained.fpdnn.vision.crops,
-        solver=SOLVERS[artifact.constants["solver"]],
+        solver=range_solver(artifact.constants["solver"]),
         sigma_m=trained.sigma_m,
         filter_settings=filter_settings,
         sight=sight,

@@ -9,7 +9,8 @@ it by Π (p(m|r) + floor), where with ρ = (m − b₀)/r
     p(m|r) = exp(−max(0, (L − ρ)/s_L, (ρ − U)/s_R)) / (r (s_L + U − L + s_R));
 
 the estimate is the belief's mean. Sums stand in for logarithms: the belief is scaled to sum 1 at every interval and
-the floor keeps every factor above 0.
+the floor keeps every factor above 0. Departure: the likelihood is tempered, since walls err alike in intervals that
+follow each other (``correlation_s``).
 
 Axes: B devices, A access points, X and Y cells.
 """
@@ -27,6 +28,7 @@ from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.sites.site import Site
 
 NAME = "bayes-grid"
+SHORTEST_S = 1e-6
 KERNEL_REACH = 4.0
 """Cells beyond so many standard deviations get nothing of a blur."""
 
@@ -45,6 +47,8 @@ class BayesGridSettings:
         scale_low: s_L, decay of the density below L.
         scale_high: s_R, decay of the density above U.
         floor_per_m: Density of ranges that the model does not explain, per metre.
+        correlation_s: For so long the errors of ranges are one error: the likelihood of an interval that comes
+            sooner after the last gets the share of it as its power. 0 takes every interval at its word.
         calibration: Range offsets that the parameters above were fitted behind.
     """
 
@@ -57,6 +61,7 @@ class BayesGridSettings:
     scale_low: float
     scale_high: float
     floor_per_m: float
+    correlation_s: float
     calibration: str
 
     @classmethod
@@ -75,6 +80,7 @@ class BeliefState:
         nearness: 1/r from each access point to each cell, shape (A, X · Y), 1/m, float32.
         beliefs: Probability of each cell, shape (B, X, Y).
         t_s: Time of each belief, shape (B,), seconds.
+        heard_t_s: Time of the last interval of each that heard something, shape (B,), seconds.
         started: True once a device heard something, shape (B,).
     """
 
@@ -83,6 +89,7 @@ class BeliefState:
     nearness: Tensor
     beliefs: Tensor
     t_s: Tensor
+    heard_t_s: Tensor
     started: Tensor
 
 
@@ -123,6 +130,7 @@ class BayesGrid:
             nearness=distances.reciprocal().float(),
             beliefs=torch.full(shape, 1 / len(cells), dtype=torch.float64),
             t_s=torch.zeros(devices, dtype=torch.float64),
+            heard_t_s=torch.zeros(devices, dtype=torch.float64),
             started=torch.zeros(devices, dtype=torch.bool),
         )
 
@@ -132,13 +140,15 @@ class BayesGrid:
         t_s = torch.where(state.started, torch.maximum(intervals.t_s.double(), state.t_s), intervals.t_s)
         dt_s = torch.where(state.started & intervals.present, t_s - state.t_s, 0.0)
         moved = blurred(state.beliefs, self.settings.speed_prior_mps * dt_s / self.settings.cell_m)
-        weighted = moved * self._likelihoods(state, intervals).reshape(moved.shape)
+        powers = self._powers(state, t_s.double())
+        weighted = moved * self._likelihoods(state, intervals, powers).reshape(moved.shape)
         beliefs = weighted / weighted.sum((1, 2), keepdim=True)
         present = intervals.present[:, None, None]
         new = replace(
             state,
             beliefs=torch.where(present, beliefs, state.beliefs),
             t_s=torch.where(intervals.present, t_s.double(), state.t_s),
+            heard_t_s=torch.where(hears, t_s.double(), state.heard_t_s),
             started=state.started | hears,
         )
         reasons = torch.where(hears, int(NoFix.FIXED), int(NoFix.NO_READING))
@@ -151,8 +161,13 @@ class BayesGrid:
         count = math.ceil((high - low) / self.settings.cell_m)
         return low + self.settings.cell_m * (torch.arange(count, dtype=torch.float64) + 0.5)
 
-    def _likelihoods(self, state: BeliefState, intervals: Intervals) -> Tensor:
-        """Return Π (p(m|r) + floor) over the access points heard, shape (B, X · Y)."""
+    def _powers(self, state: BeliefState, t_s: Tensor) -> Tensor:
+        """Return how much of the likelihood of an interval counts, shape (B,)."""
+        since_s = torch.where(state.started, t_s - state.heard_t_s, torch.inf)
+        return (since_s / max(self.settings.correlation_s, SHORTEST_S)).clamp(max=1.0)
+
+    def _likelihoods(self, state: BeliefState, intervals: Intervals, powers: Tensor) -> Tensor:
+        """Return Π (p(m|r) + floor)^power over the access points heard, shape (B, X · Y)."""
         model = self.settings
         density = 1 / (model.scale_low + model.ratio_high - model.ratio_low + model.scale_high)
         ratios = (intervals.ranges.float() - model.bias_m)[..., None] * state.nearness
@@ -160,7 +175,7 @@ class BayesGrid:
         above = (ratios - model.ratio_high) / model.scale_high
         explained = torch.exp(-torch.maximum(below, above).clamp_(min=0.0)) * (density * state.nearness)
         factors = torch.where(intervals.heard[..., None], explained + model.floor_per_m, 1.0)
-        return factors.double().prod(1)
+        return factors.double().prod(1) ** powers[:, None]
 
     def _moments(self, state: BeliefState) -> tuple[Tensor, Tensor]:
         """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of the beliefs."""

@@ -39,6 +39,7 @@ class CbtWccgSettings:
         cell_m: Side of the cells among which the heaviest is sought, metres.
         kernel_m: Standard deviation of the mean shift's Gaussian, metres.
         mean_shift_steps: How many.
+        calibration: That it runs with unless asked.
     """
 
     shifts_m: tuple[float, ...]
@@ -46,6 +47,7 @@ class CbtWccgSettings:
     cell_m: float
     kernel_m: float
     mean_shift_steps: int
+    calibration: str
 
     @classmethod
     def read(cls) -> CbtWccgSettings:
@@ -67,6 +69,11 @@ class CbtWccg:
 
     def __init__(self, settings: CbtWccgSettings | None = None) -> None:
         self.settings = CbtWccgSettings.read() if settings is None else settings
+
+    @property
+    def default_calibration(self) -> str:
+        """Chosen with the other settings."""
+        return self.settings.calibration
 
     def init(self, site: Site, devices: int) -> Tensor:
         """Return the access points' positions; they serve any number of devices."""

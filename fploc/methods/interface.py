@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
@@ -68,3 +70,50 @@ class Calibrated(Protocol):
     @property
     def default_calibration(self) -> str:
         """What ``--calibration`` takes."""
+
+
+@dataclass(frozen=True)
+class Examples:
+    """Recordings of one site with ground truth, to learn from.
+
+    Args:
+        site: Where they were made.
+        intervals: Calibrated, time first: shapes (T, B, …).
+        labels: Ground truth, shape (T, B, 2), metres, site frame; NaN where there is none.
+    """
+
+    site: Site
+    intervals: Intervals
+    labels: Tensor
+
+    def at(self, step: int) -> Intervals:
+        """Return one interval of every recording."""
+        every = self.intervals
+        return Intervals(
+            t_s=every.t_s[step],
+            ranges=every.ranges[step],
+            stds=every.stds[step],
+            rss=every.rss[step],
+            heard=every.heard[step],
+            present=every.present[step],
+        )
+
+
+@runtime_checkable
+class SourceFitted(Protocol):
+    """A method that learns from source recordings within a minute, whenever it is asked for."""
+
+    @property
+    def name(self) -> str:
+        """Name on the command line and in result records."""
+
+    @property
+    def default_calibration(self) -> str:
+        """What ``--calibration`` takes."""
+
+    @property
+    def learns_places(self) -> bool:
+        """True where it knows nothing outside of the site that it learned at."""
+
+    def fitted(self, sources: Sequence[Examples]) -> Method:
+        """Return the method that has learned from examples of every source site."""

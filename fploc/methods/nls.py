@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from fploc.methods.nls_robust import RobustSettings, method_of, read_settings
 from fploc.methods.one_shot import OneShotMethod
-from fploc.solvers.nonlinear import solve_nonlinear
+
+NAME = "nls"
 
 
-def nls() -> OneShotMethod:
-    """Return the method."""
-    return OneShotMethod("nls", solve_nonlinear)
+def nls(settings: RobustSettings | None = None) -> OneShotMethod:
+    """Return the method; settings of None are those of conf/method/nls.yaml."""
+    return method_of(NAME, read_settings(NAME) if settings is None else settings)

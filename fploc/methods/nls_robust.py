@@ -19,13 +19,17 @@ class RobustSettings:
 
     Args:
         loss: Of residuals over ``sigma_m``.
-        sigma_m: Standard deviation given to every range, metres.
+        sigma_m: As in ``OneShotMethod``.
+        sigma_per_m: As in ``OneShotMethod``.
         advantage: As in ``NonlinearSettings``.
+        calibration: That it runs with unless asked.
     """
 
     loss: Loss
     sigma_m: float
+    sigma_per_m: float
     advantage: float
+    calibration: str
 
 
 def nls_robust(settings: RobustSettings | None = None) -> OneShotMethod:
@@ -44,5 +48,7 @@ def method_of(name: str, settings: RobustSettings) -> OneShotMethod:
     return OneShotMethod(
         name,
         partial(solve_nonlinear, loss=settings.loss, settings=iteration),
+        settings.calibration,
         sigma_m=settings.sigma_m,
+        sigma_per_m=settings.sigma_per_m,
     )

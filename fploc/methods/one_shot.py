@@ -40,13 +40,17 @@ class OneShotMethod:
     Args:
         name: Of the method.
         solver: Solves one batch of intervals.
-        sigma_m: Standard deviation given to every range, metres: the phone's own spread of a burst says
+        default_calibration: That it runs with unless asked.
+        sigma_m: Standard deviation given to a range of 0 m, metres: the phone's own spread of a burst says
             nothing of walls, which make most of the error.
+        sigma_per_m: What every metre of a range adds to it: longer ways cross more walls.
     """
 
     name: str
     solver: RangeSolver
+    default_calibration: str
     sigma_m: float = 1.0
+    sigma_per_m: float = 0.0
     memoryless: bool = True
 
     def init(self, site: Site, devices: int) -> Tensor:
@@ -57,5 +61,5 @@ class OneShotMethod:
         """Solve one interval of every device."""
         ranges = intervals.ranges.double()
         access_points = state.to(ranges.device)
-        sigmas = torch.full_like(ranges, self.sigma_m)
+        sigmas = self.sigma_m + self.sigma_per_m * ranges
         return state, self.solver(ranges, access_points, sigmas, intervals.heard)

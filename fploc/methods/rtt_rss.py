@@ -38,6 +38,7 @@ class RttRssSettings:
         gate: v²/S beyond which R grows with the innovation.
         rss_at_1_m_dbm: A of the path loss.
         path_loss_exponent: n of the path loss.
+        calibration: That it runs with unless asked.
     """
 
     noise_m2_per_s: float
@@ -46,6 +47,7 @@ class RttRssSettings:
     gate: float
     rss_at_1_m_dbm: float
     path_loss_exponent: float
+    calibration: str
 
     @classmethod
     def read(cls) -> RttRssSettings:
@@ -91,6 +93,11 @@ class RttRss:
 
     def __init__(self, settings: RttRssSettings | None = None) -> None:
         self.settings = RttRssSettings.read() if settings is None else settings
+
+    @property
+    def default_calibration(self) -> str:
+        """Chosen with the other settings."""
+        return self.settings.calibration
 
     def init(self, site: Site, devices: int) -> LinkState:
         """Return the state of ``devices`` devices before their first interval."""

@@ -29,6 +29,9 @@ HOMES = {
     },
     "httpx": {"fploc.datasets.download"},
     "mlcroissant": {"fploc.datasets.croissant"},
+    "sklearn": {"fploc.methods"},
+    "optuna": {"fploc.experiments"},
+    "threadpoolctl": {"fploc.experiments"},
 }
 
 

@@ -1,20 +1,27 @@
-"""One suite over every method that needs no training: the interface of design §5.9."""
+"""One suite over every method that needs no artifact: the interface of design §5.9."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import cache
 
 import pytest
 import torch
 
+from fploc.calibration.offsets import constant_offset
 from fploc.errors import UnknownNameError
 from fploc.intervals import Estimate, Intervals, NoFix
 from fploc.methods.bayes_grid import BayesGrid, BayesGridSettings
 from fploc.methods.cbt_wccg import CbtWccg, CbtWccgSettings
-from fploc.methods.interface import Filtering, Method
+from fploc.methods.interface import Examples, Filtering, Method
 from fploc.methods.one_shot import Memoryless
-from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
+from fploc.methods.registry import (
+    GEOMETRIC_METHODS,
+    SOURCE_FITTED_METHODS,
+    default_calibration,
+    geometric_method,
+)
 from fploc.methods.rtt_rss import RttRssSettings
 from fploc.sites.site import AccessPoint, Site
 
@@ -76,7 +83,9 @@ PROMISES: Mapping[str, Promise] = {
         fixes_on_a_line=True,
     ),
     "cbt-wccg": Promise(without_noise=single_circles),
+    "knn": Promise(fewest_ranges=1, fixes_on_a_line=True),
 }
+NAMES = sorted([*GEOMETRIC_METHODS, *SOURCE_FITTED_METHODS])
 
 
 def promise_of(name: str) -> Promise:
@@ -135,18 +144,47 @@ def check_whole(found: Estimate) -> None:
     assert (torch.linalg.eigvalsh(covariances) > 0).all()
 
 
-@pytest.fixture(params=sorted(GEOMETRIC_METHODS))
+@cache
+def ready(name: str, site: Site = SITE) -> Method:
+    """Return a method that can run at ``site``: one that learns has been where the tests go, without noise."""
+    if name in GEOMETRIC_METHODS:
+        return geometric_method(name)
+    return SOURCE_FITTED_METHODS[name]().fitted([examples_at(site)])
+
+
+def examples_at(site: Site) -> Examples:
+    """Return recordings of all access points, and of those whose names the tests leave silent."""
+    generator = torch.Generator().manual_seed(7)
+    elsewhere = torch.rand(60, 2, generator=generator, dtype=torch.float64) * 14
+    truth = torch.cat([some_truth(), elsewhere])
+    ranges = torch.cdist(truth, torch.from_numpy(site.positions_m))
+    heard = torch.ones_like(ranges, dtype=torch.bool)
+    without_last = heard.clone()
+    without_last[:, [point.name == "AP5" for point in site.access_points]] = False
+    halves = [intervals_of(ranges, heard), intervals_of(ranges, without_last)]
+    both = {one.name: torch.stack([getattr(half, one.name) for half in halves], 1) for one in SINGLE}
+    return Examples(site, Intervals(**both), torch.stack([truth, truth], 1))
+
+
+SINGLE = fields(Intervals)[:-1]
+
+
+@pytest.fixture(params=NAMES)
 def name(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
 def exact(name: str) -> Method:
     made = promise_of(name).without_noise
-    return geometric_method(name) if made is None else made()
+    return ready(name) if made is None else made()
 
 
 def test_a_method_bears_its_name(name: str) -> None:
-    assert geometric_method(name).name == name
+    assert ready(name).name == name
+
+
+def test_a_method_names_a_calibration_to_run_with(name: str) -> None:
+    constant_offset(default_calibration(name))
 
 
 def test_noise_free_ranges_give_back_the_position(name: str) -> None:
@@ -160,7 +198,7 @@ def test_noise_free_ranges_give_back_the_position(name: str) -> None:
 
 def test_no_fix_comes_with_its_reason(name: str) -> None:
     made, _ = intervals()
-    found = located(geometric_method(name), made)
+    found = located(ready(name), made)
     counts = made.heard.sum(-1)
     assert torch.equal(found.fixed, counts >= promise_of(name).fewest_ranges)
     assert (found.reasons[counts == 0] == NoFix.NO_READING).all()
@@ -169,7 +207,7 @@ def test_no_fix_comes_with_its_reason(name: str) -> None:
 
 def test_nothing_heard_by_anybody_is_no_fix(name: str) -> None:
     made, _ = intervals()
-    found = located(geometric_method(name), intervals_of(made.ranges, torch.zeros_like(made.heard)))
+    found = located(ready(name), intervals_of(made.ranges, torch.zeros_like(made.heard)))
     assert (found.reasons == NoFix.NO_READING).all()
 
 
@@ -177,7 +215,7 @@ def test_access_points_on_one_line_fix_nothing_alone(name: str) -> None:
     places = [(0.0, 1.0), (6.0, 4.0), (12.0, 7.0), (20.0, 11.0)]
     ranges = true_ranges(some_truth(), places)
     found = located(
-        geometric_method(name), intervals_of(ranges, torch.ones_like(ranges).bool()), site_of(places)
+        ready(name, site_of(places)), intervals_of(ranges, torch.ones_like(ranges).bool()), site_of(places)
     )
     expected = NoFix.FIXED if promise_of(name).fixes_on_a_line else NoFix.DEGENERATE_GEOMETRY
     assert (found.reasons == expected).all()
@@ -187,7 +225,8 @@ def test_an_access_point_that_stands_there_twice_changes_nothing_without_noise(n
     places = [*PLACES, PLACES[0], PLACES[4]]
     truth = some_truth()
     ranges = true_ranges(truth, places)
-    found = located(exact(name), intervals_of(ranges, torch.ones_like(ranges).bool()), site_of(places))
+    method = exact(name) if name in GEOMETRIC_METHODS else ready(name, site_of(places))
+    found = located(method, intervals_of(ranges, torch.ones_like(ranges).bool()), site_of(places))
     assert ((found.positions - truth).norm(dim=-1) <= promise_of(name).tolerance_m).all()
 
 
@@ -195,7 +234,7 @@ def test_two_places_are_one_too_few(name: str) -> None:
     places = [PLACES[0], PLACES[0], PLACES[1], PLACES[1]]
     ranges = true_ranges(some_truth(), places)
     found = located(
-        geometric_method(name), intervals_of(ranges, torch.ones_like(ranges).bool()), site_of(places)
+        ready(name, site_of(places)), intervals_of(ranges, torch.ones_like(ranges).bool()), site_of(places)
     )
     assert found.fixed.all() if promise_of(name).fixes_on_a_line else not found.fixed.any()
 
@@ -206,7 +245,7 @@ def test_a_site_of_too_few_access_points_has_no_fix_but_no_failure(count: int, n
     ranges = true_ranges(some_truth(), places)
     heard = torch.ones_like(ranges).bool()
     heard[3] = False
-    found = located(geometric_method(name), intervals_of(ranges, heard), site_of(places))
+    found = located(ready(name, site_of(places)), intervals_of(ranges, heard), site_of(places))
     enough = heard.sum(-1) >= promise_of(name).fewest_ranges
     assert torch.equal(found.fixed, enough)
 
@@ -215,7 +254,7 @@ def test_a_site_of_too_few_access_points_has_no_fix_but_no_failure(count: int, n
 def test_a_range_of_500_m_gives_whole_fixes_or_none(column: int, name: str) -> None:
     ranges = true_ranges(some_truth())
     ranges[:, column] = OUTLIER_M
-    located(geometric_method(name), intervals_of(ranges, torch.ones_like(ranges).bool()))
+    located(ready(name), intervals_of(ranges, torch.ones_like(ranges).bool()))
 
 
 def test_hostile_ranges_give_whole_fixes_or_none(name: str) -> None:
@@ -223,30 +262,30 @@ def test_hostile_ranges_give_whole_fixes_or_none(name: str) -> None:
     ranges = torch.rand(300, len(PLACES), generator=generator, dtype=torch.float64) ** 6 * 600
     heard = torch.rand(300, len(PLACES), generator=generator) < 0.7
     heard[7] = False
-    found = located(geometric_method(name), intervals_of(ranges, heard))
+    found = located(ready(name), intervals_of(ranges, heard))
     assert found.fixed.any() and not found.fixed.all()
 
 
 def test_the_order_of_access_points_changes_nothing(name: str) -> None:
-    method = geometric_method(name)
     made, _ = intervals()
     made = replace(made, ranges=torch.where(made.heard, made.ranges + 0.7, 0.0))
     order = [4, 2, 0, 5, 1, 3]
+    site = site_of(PLACES, order)
     turned = replace(made, ranges=made.ranges[:, order], heard=made.heard[:, order], rss=made.rss[:, order])
-    one, other = located(method, made), located(method, turned, site_of(PLACES, order))
+    one, other = located(ready(name), made), located(ready(name, site), turned, site)
     torch.testing.assert_close(one.positions, other.positions, atol=1e-6, rtol=0, equal_nan=True)
 
 
 def test_the_order_of_devices_changes_nothing(name: str) -> None:
-    method = geometric_method(name)
+    method = ready(name)
     made, _ = intervals()
-    turned = replace(made, **{one.name: getattr(made, one.name).flip(0) for one in fields(made)[:-1]})
+    turned = replace(made, **{one.name: getattr(made, one.name).flip(0) for one in SINGLE})
     one, other = located(method, made), located(method, turned)
     torch.testing.assert_close(one.positions.flip(0), other.positions, atol=1e-9, rtol=0, equal_nan=True)
 
 
 def test_absent_devices_keep_their_state(name: str) -> None:
-    method = geometric_method(name)
+    method = ready(name)
     made, _ = intervals()
     later = replace(made, t_s=made.t_s + 0.4, ranges=made.ranges + 0.3 * made.heard)
     present = torch.arange(DEVICES) % 2 == 0
@@ -270,7 +309,7 @@ def test_a_method_steps_through_time_without_a_gap(name: str) -> None:
 
 
 def test_a_method_without_memory_returns_its_state_unchanged(name: str) -> None:
-    method = geometric_method(name)
+    method = ready(name)
     state = method.init(SITE, DEVICES)
     after, _ = method.step(state, intervals()[0])
     assert (after is state) == (isinstance(method, Memoryless) and method.memoryless)

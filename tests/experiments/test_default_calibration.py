@@ -9,7 +9,8 @@ import pytest
 
 from fploc.errors import UnknownNameError
 from fploc.evaluation.evaluate import EvaluationRequest
-from fploc.experiments.scoring import answer, default_calibration
+from fploc.experiments.scoring import answer
+from fploc.methods.registry import default_calibration
 
 REQUEST = EvaluationRequest("zero-shot", "laboratory", device="2", labels="published", thin=40)
 
