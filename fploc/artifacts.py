@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from fploc.conf import instantiate
 from fploc.errors import BadFileError, MissingArtifactError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclass(frozen=True)
