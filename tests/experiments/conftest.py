@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -18,12 +20,27 @@ Pack = Callable[..., None]
 
 
 @pytest.fixture(scope="module")
-def miniature() -> Iterator[Preset]:
-    """The preset ``smoke`` of tests/fixtures/conf/, which stands in for conf/ meanwhile."""
+def small_conf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """conf/ with the files of tests/fixtures/conf/ over its own, which stands in for conf/ meanwhile."""
+    folder = tmp_path_factory.mktemp("small") / "conf"
+    with resources.as_file(fploc.conf.conf_folder()) as conf:
+        shutil.copytree(conf, folder)
+    shutil.copytree(Path(__file__).parents[1] / "fixtures" / "conf", folder, dirs_exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        folder = Path(__file__).parents[1] / "fixtures" / "conf"
         patch.setattr(fploc.conf, "conf_folder", lambda: folder)
-        yield read_preset("smoke")
+        yield folder
+
+
+@pytest.fixture(scope="module")
+def miniature(small_conf: Path) -> Preset:
+    """The preset ``smoke`` of tests/fixtures/conf/."""
+    return read_preset("smoke")
+
+
+@pytest.fixture(scope="module")
+def every_kind(small_conf: Path) -> Preset:
+    """The preset ``full`` of tests/fixtures/conf/: every kind of training and scoring once."""
+    return read_preset("full")
 
 
 @pytest.fixture(scope="session")

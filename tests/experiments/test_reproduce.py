@@ -32,7 +32,7 @@ from fploc.sites.made_up import made_up_site
 from fploc.sites.registry import known_sites
 
 QUICK = Patience(connect_s=0.5, read_s=0.5, attempts=1)
-INTERRUPTED_AT = Scoring("gnn-fpdnn", "seen", "made-up-1", 0)
+INTERRUPTED_AT = Scoring("gnn-fpdnn", "seen", "made-up-1", 0, thin=4)
 
 
 @dataclass(frozen=True)
@@ -127,10 +127,12 @@ def test_no_network_is_said_and_made_up_buildings_take_over(calls: Calls) -> Non
 
 def test_every_stage_is_announced_once_and_timed(calls: Calls) -> None:
     places = ["seen--made-up-1", "zero-shot--made-up-2"]
-    scorings = [f"score--{place}--{name}--seed-0" for place in places for name in ("nls", "gnn", "gnn-fpdnn")]
-    trainings = [f"train--{name}--seed-0" for name in ("generator", "made-up-1", "made-up-2")]
+    methods = ("nls", "gnn", "gnn-fpdnn")
+    scorings = [f"score--{place}--{name}--thin-4--seed-0" for place in places for name in methods]
+    chains = ("generator", "seen--made-up-1", "zero-shot--made-up-2")
+    trainings = [f"train--{name}--seed-0" for name in chains]
     every = calls.resumed.stages(r"(?:done before|[\d.]+ s)")
-    assert every == ["calibrate--made-up-1", *trainings, *scorings, "report"]
+    assert every == ["calibrate--made-up-1", *trainings, "synthesize--made-up-1", *scorings, "report"]
     announced = re.compile(r"^preset smoke: trainings take about .*", re.MULTILINE)
     assert len(announced.findall(calls.interrupted.err)) == 1
     assert announced.findall(calls.resumed.err) == [], "nothing was left to train"
@@ -146,7 +148,7 @@ def test_an_interruption_ends_in_one_line_and_leaves_nothing_half_written(calls:
 
 def test_the_next_call_does_only_the_rest(calls: Calls) -> None:
     done = calls.interrupted.stages(r"[\d.]+ s")
-    assert done[-1] == "score--seen--made-up-1--gnn--seed-0"
+    assert done[-1] == "score--seen--made-up-1--gnn--thin-4--seed-0"
     assert calls.resumed.stages("done before") == done
     assert calls.resumed.stages(r"[\d.]+ s")[0] == f"score--{INTERRUPTED_AT.name}"
 
@@ -179,7 +181,15 @@ def test_everything_made_from_made_up_buildings_says_so(calls: Calls) -> None:
 def test_figures_are_drawn_for_every_place_and_device(calls: Calls) -> None:
     names = {path.name for path in (calls.folder / "figures").iterdir()}
     places = ("seen--made-up-1", "zero-shot--made-up-2")
-    assert names == {f"cdf--{place}--device{device}.png" for place in places for device in (1, 2)}
+    kinds = ("cdf", "cdf-stages")
+    drawn = {f"{kind}--{place}--device{n}.png" for kind in kinds for place in places for n in (1, 2)}
+    assert drawn < names and {f"attention--{place}.png" for place in places} < names
+    assert {name for name in names if name.startswith("bars--")} == {
+        f"bars--{protocol}--{behind}.png"
+        for protocol in ("seen", "zero-shot")
+        for behind in ("kalman", "none")
+    }
+    assert {Path(name).suffix for name in names} == {".png"}
 
 
 def test_records_name_their_run_their_data_and_their_artifact(calls: Calls) -> None:
@@ -190,8 +200,8 @@ def test_records_name_their_run_their_data_and_their_artifact(calls: Calls) -> N
         record, run = one.record, runs[one.run_id]
         assert list(json.loads(line))[: len(record.as_json())] == list(record.as_json())
         assert run.data.tags["site"] == record.site and run.data.tags["method"] == record.method
-        target = packed[0] if record.site == "made-up-1" else packed[1]
-        assert one.data_hash == data_hash(packed[0], target) == run.data.tags["data_hash"]
+        learned_and_tested = packed[:1] if record.site == "made-up-1" else packed
+        assert one.data_hash == data_hash(*learned_and_tested) == run.data.tags["data_hash"]
         artifact = f"smoke/{record.protocol}/{record.site}/{record.method}/seed-0"
         assert record.artifact == (None if record.method == "nls" else artifact)
 
@@ -231,13 +241,13 @@ def test_trainings_log_their_curves(calls: Calls) -> None:
 
 
 def test_a_stage_with_a_lost_output_is_done_again_and_what_takes_its_result(calls: Calls) -> None:
-    lost = calls.folder / "scores" / "zero-shot--made-up-2--nls--seed-0.jsonl"
+    lost = calls.folder / "scores" / "zero-shot--made-up-2--nls--thin-4--seed-0.jsonl"
     before = lost.read_text()
     artifacts = {path: path.stat().st_mtime_ns for path in (calls.root / "runs" / "artifacts").rglob("*")}
     lost.unlink()
     repeated = call(calls.root)
     assert repeated.code == 0
-    assert repeated.stages(r"[\d.]+ s") == ["score--zero-shot--made-up-2--nls--seed-0", "report"]
+    assert repeated.stages(r"[\d.]+ s") == ["score--zero-shot--made-up-2--nls--thin-4--seed-0", "report"]
     assert artifacts == {path: path.stat().st_mtime_ns for path in artifacts}
     same = [
         replace(tracked_record(line).record, ms_per_fix=0.0)
@@ -253,7 +263,8 @@ def test_the_report_is_made_anew_where_another_method_stands(calls: Calls, minia
 
     def report_key(methods: tuple[str, ...]) -> str:
         preset = replace(miniature, methods=methods)
-        return Reproduction(preset, world, calls.root / "data", calls.root / "runs").stages()[-1].key
+        made = Reproduction.on(preset, world, None, calls.root / "data", calls.root / "runs")
+        return made.stages()[-1].key
 
     assert report_key(("nls", "gnn")) != report_key(("lls", "gnn"))
 

@@ -16,6 +16,7 @@ import fploc.experiments.training
 from fploc.artifacts import Artifact
 from fploc.cli import main
 from fploc.evaluation.records import Record
+from fploc.experiments.plan import Learning
 from fploc.experiments.preset import Preset
 from fploc.experiments.reproduce import Reproduction
 from fploc.experiments.stages import StageBook
@@ -49,6 +50,7 @@ KEYS = [
     "ms_per_fix",
     "artifact",
     "commit",
+    "condition",
 ]
 WORLD = World("office", ("laboratory",), made_up=False)
 
@@ -63,7 +65,7 @@ class Trained:
 
 def train(preset: Preset, root: Path, runs: Path) -> None:
     """Train everything that the preset trains, and score nothing."""
-    stages = Reproduction(preset, WORLD, root, runs).stages()
+    stages = Reproduction.on(preset, WORLD, None, root, runs).stages()
     wanted = [one for one in stages if one.name.startswith(("calibrate", "train"))]
     StageBook(runs / "stages").run(wanted)
 
@@ -179,7 +181,7 @@ def test_records_go_to_a_file_and_a_table_to_the_screen(
     [
         (["--seed", "7"], "make it: fploc reproduce --preset smoke"),
         (["--preset", "default"], "make it: fploc reproduce --preset default"),
-        (["--preset", "tiny"], "--preset: found tiny"),
+        (["--preset", "tiny"], "--preset: found 'tiny'"),
         (["--plan", "moon"], "moon"),
         (["--protocol", "seen"], "--site with --protocol seen"),
     ],
@@ -273,9 +275,9 @@ def test_networks_that_go_on_learning_learn_as_they_did_at_first(
         return {"val/loss": 1.0}
 
     monkeypatch.setattr(fploc.experiments.training, "fit", spy)
-    reproduction = Reproduction(miniature, WORLD, trained.root, tmp_path)
-    reproduction.artifacts = trained.runs / "artifacts"
+    reproduction = Reproduction.on(miniature, WORLD, None, trained.root, tmp_path)
+    reproduction.learner.artifacts = trained.runs / "artifacts"
     monkeypatch.setattr(Artifact, "save", lambda *_: None)
     reproduction._calibrate()
-    reproduction._train("laboratory", "zero-shot", 0)
+    reproduction.learner.learn(Learning("zero-shot", "laboratory", 0), lambda network: None)
     assert modes == {"GNNTask": True, "FPDNNTask": True}
