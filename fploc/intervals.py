@@ -123,6 +123,15 @@ def estimate(positions: Tensor, covariances: Tensor, reasons: Tensor) -> Estimat
     )
 
 
+def selected(where: Tensor, one: Estimate, other: Estimate) -> Estimate:
+    """Return ``one`` where a device is chosen, shape (B,), else ``other``."""
+    return Estimate(
+        positions=torch.where(where[:, None], one.positions, other.positions),
+        covariances=torch.where(where[:, None, None], one.covariances, other.covariances),
+        reasons=torch.where(where, one.reasons, other.reasons),
+    )
+
+
 @dataclass(frozen=True)
 class Links:
     """Device–AP pairs of a batch.

@@ -110,8 +110,6 @@ class Localizer:
         self.offsets = offsets
         self.filter = None if filter_settings is None else BatchedFilter(filter_settings)
         self.device = torch.device(device)
-        self._offsets_m = torch.from_numpy(offsets.per_access_point_m(site.macs)).to(self.device)
-        self._heights_m = torch.from_numpy(site.height_differences_m).to(self.device)
 
     def with_method(self, method: Method) -> Localizer:
         """Return a localizer of another method at the same site, without a filter behind it."""
@@ -124,7 +122,7 @@ class Localizer:
 
     def calibrated(self, slant_m: Tensor, heard: Tensor) -> Tensor:
         """Return ranges in the plan without their offset, shape (…, A), metres; 0 where not heard."""
-        return torch.where(heard, plan_ranges(slant_m - self._offsets_m, self._heights_m), 0.0)
+        return calibrated_ranges(slant_m, heard, self.site, self.offsets)
 
     def advance(self, state: LocalizerState, intervals: Intervals) -> tuple[LocalizerState, Estimate]:
         """Advance every device that is present by one interval.
@@ -178,35 +176,44 @@ def localize(
     """
     padded = pad(recordings)
     localizer = Localizer(method, site, offsets, filter_settings, device=device)
-    intervals = _all_intervals(localizer, padded)
+    intervals = all_intervals(padded, site, offsets, localizer.device)
     count = int(padded.present.sum())
     with torch.inference_mode():
         started = time.perf_counter()
         found = _locate(localizer, intervals)
         located = time.perf_counter()
-        filtered = None if localizer.filter is None else _filtered_in_turn(localizer.filter, intervals, found)
+        filtered = None if localizer.filter is None else filtered_in_turn(localizer.filter, intervals, found)
         smoothed = time.perf_counter()
     tracks = []
     for index, recording in enumerate(recordings):
         length = len(recording)
-        unfiltered = _path(found, index, length, ms_per_fix=1000.0 * (located - started) / count)
+        unfiltered = path_of(found, index, length, ms_per_fix=1000.0 * (located - started) / count)
         own = None
         if filtered is not None:
-            own = _path(filtered, index, length, ms_per_fix=1000.0 * (smoothed - started) / count)
+            own = path_of(filtered, index, length, ms_per_fix=1000.0 * (smoothed - started) / count)
         tracks.append(Track(recording, unfiltered, own, own_filter=isinstance(method, Filtering)))
     return tracks
 
 
-def _all_intervals(localizer: Localizer, padded: PaddedRecordings) -> Intervals:
-    """Return all intervals with a leading time axis: (T, B, …)."""
+def calibrated_ranges(slant_m: Tensor, heard: Tensor, site: Site, offsets: RangeOffsets) -> Tensor:
+    """Return ranges in the plan without their offset, shape (…, A), metres; 0 where not heard."""
+    offsets_m = torch.from_numpy(offsets.per_access_point_m(site.macs)).to(slant_m.device)
+    heights_m = torch.from_numpy(site.height_differences_m).to(slant_m.device)
+    return torch.where(heard, plan_ranges(slant_m - offsets_m, heights_m), 0.0)
+
+
+def all_intervals(
+    padded: PaddedRecordings, site: Site, offsets: RangeOffsets, device: torch.device
+) -> Intervals:
+    """Return all intervals, calibrated, with a leading time axis: (T, B, …)."""
 
     def tensor(array: NDArray[Any]) -> Tensor:
-        return torch.from_numpy(array).to(localizer.device)
+        return torch.from_numpy(array).to(device)
 
     heard = tensor(padded.heard)
     return Intervals(
         t_s=tensor(padded.t_s),
-        ranges=localizer.calibrated(tensor(padded.slant_m), heard),
+        ranges=calibrated_ranges(tensor(padded.slant_m), heard, site, offsets),
         stds=tensor(padded.std_m),
         rss=tensor(padded.rss_dbm),
         heard=heard,
@@ -214,7 +221,7 @@ def _all_intervals(localizer: Localizer, padded: PaddedRecordings) -> Intervals:
     )
 
 
-def _rows(intervals: Intervals, at: slice | int) -> Intervals:
+def rows_at(intervals: Intervals, at: slice | int) -> Intervals:
     """Return the intervals at an index or slice of the first axis."""
     return Intervals(
         t_s=intervals.t_s[at],
@@ -241,40 +248,40 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
     steps, devices = intervals.t_s.shape
     coarse = localizer.with_method(method.coarse)
     found = _locate_together(coarse, intervals)
-    smoothed = _filtered_in_turn(method.filter, intervals, found)
+    smoothed = filtered_in_turn(method.filter, intervals, found)
     access_points = method.coarse.init(localizer.site, devices)
-    rows = _flat(intervals)
+    rows = flat(intervals)
     coarse_rows = Estimate(
         smoothed.positions.flatten(0, 1), smoothed.covariances.flatten(0, 1), smoothed.reasons.flatten()
     )
     refined = []
     for at in track(
-        _chunks(steps * devices, method.rows_at_once(len(localizer.site.access_points))), method.name
+        chunks(steps * devices, method.rows_at_once(len(localizer.site.access_points))), method.name
     ):
         coarse_chunk = Estimate(
             coarse_rows.positions[at], coarse_rows.covariances[at], coarse_rows.reasons[at]
         )
-        refined.append(method.refine(access_points, _rows(rows, at), coarse_chunk))
-    return _joined(refined, steps, devices)
+        refined.append(method.refine(access_points, rows_at(rows, at), coarse_chunk))
+    return joined(refined, steps, devices)
 
 
 def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:
     """Locate every interval of every recording as one batch; estimates have shape (T, B, …)."""
     steps, devices = intervals.t_s.shape
-    rows = _flat(intervals)
+    rows = flat(intervals)
     found = []
-    for at in _chunks(steps * devices, ROWS_AT_ONCE):
-        chunk = _rows(rows, at)
+    for at in chunks(steps * devices, ROWS_AT_ONCE):
+        chunk = rows_at(rows, at)
         found.append(localizer.locate(localizer.init(len(chunk.t_s)), chunk)[1])
-    return _joined(found, steps, devices)
+    return joined(found, steps, devices)
 
 
-def _chunks(rows: int, at_once: int) -> list[slice]:
+def chunks(rows: int, at_once: int) -> list[slice]:
     """Return slices that cover ``rows``."""
     return [slice(start, start + at_once) for start in range(0, rows, at_once)]
 
 
-def _flat(intervals: Intervals) -> Intervals:
+def flat(intervals: Intervals) -> Intervals:
     """Return intervals (T, B, …) as rows (T · B, …)."""
     return Intervals(
         t_s=intervals.t_s.flatten(),
@@ -286,7 +293,7 @@ def _flat(intervals: Intervals) -> Intervals:
     )
 
 
-def _joined(chunks: Sequence[Estimate], steps: int, devices: int) -> Estimate:
+def joined(chunks: Sequence[Estimate], steps: int, devices: int) -> Estimate:
     """Return estimates of chunks of rows as one of shape (T, B, …)."""
     return Estimate(
         positions=torch.cat([one.positions for one in chunks]).reshape(steps, devices, 2),
@@ -300,12 +307,12 @@ def _locate_in_turn(localizer: Localizer, intervals: Intervals) -> Estimate:
     state = localizer.init(intervals.t_s.shape[1])
     found = []
     for step in track(range(len(intervals.t_s)), localizer.method.name):
-        state, one = localizer.locate(state, _rows(intervals, step))
+        state, one = localizer.locate(state, rows_at(intervals, step))
         found.append(one)
-    return _stacked(found)
+    return stacked(found)
 
 
-def _filtered_in_turn(tracker: BatchedFilter, intervals: Intervals, found: Estimate) -> Estimate:
+def filtered_in_turn(tracker: BatchedFilter, intervals: Intervals, found: Estimate) -> Estimate:
     """Step a filter through time over estimates; shapes (T, B, …)."""
     tracks = tracker.init(intervals.t_s.shape[1], device=intervals.t_s.device)
     filtered = []
@@ -313,10 +320,10 @@ def _filtered_in_turn(tracker: BatchedFilter, intervals: Intervals, found: Estim
         fixes = Estimate(found.positions[step], found.covariances[step], found.reasons[step])
         tracks, one = tracker.step(tracks, intervals.t_s[step], intervals.present[step], fixes)
         filtered.append(one)
-    return _stacked(filtered)
+    return stacked(filtered)
 
 
-def _stacked(estimates: Sequence[Estimate]) -> Estimate:
+def stacked(estimates: Sequence[Estimate]) -> Estimate:
     """Return estimates of one interval each as one with a leading time axis."""
     return Estimate(
         positions=torch.stack([one.positions for one in estimates]),
@@ -325,7 +332,7 @@ def _stacked(estimates: Sequence[Estimate]) -> Estimate:
     )
 
 
-def _path(found: Estimate, index: int, length: int, *, ms_per_fix: float) -> Path:
+def path_of(found: Estimate, index: int, length: int, *, ms_per_fix: float) -> Path:
     """Return the path of one recording out of a batch."""
     return Path(
         positions_m=found.positions[:length, index].double().cpu().numpy(),

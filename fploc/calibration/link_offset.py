@@ -26,24 +26,24 @@ from fploc.datasets.recordings import Bools, Floats
 
 @dataclass(frozen=True)
 class LinkOffsetSettings:
-    """Settings of the belief: conf/method/device-link.yaml.
+    """Settings of the belief: conf/link/device-link.yaml.
 
     Args:
         prior_sd_m: Standard deviation of the offset around the access points', metres.
         spread_m: Standard deviation of a range between devices, metres.
-        correlation_s: For so long the errors of fixes are one error, seconds.
+        correlation_s: For so long the errors of fixes, and of ranges between devices, are one error, seconds.
         nearest_m: Devices whose fixes are nearer to each other than this say nothing: errors of fixes then
             lengthen their distance, metres.
         reach_m: Of the grid to both sides of the prior, metres.
         step_m: Of the grid, metres.
     """
 
-    prior_sd_m: float = 1.0
-    spread_m: float = 1.5
-    correlation_s: float = 5.0
-    nearest_m: float = 5.0
-    reach_m: float = 5.0
-    step_m: float = 0.05
+    prior_sd_m: float
+    spread_m: float
+    correlation_s: float
+    nearest_m: float
+    reach_m: float
+    step_m: float
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,10 @@ class LinkReadings:
         return LinkReadings(self.t_s[::every] / every, self.ranges_m[::every], self.rss_dbm[::every])
 
 
+NO_LINK = LinkReadings(np.array([-np.inf]), np.zeros(1), np.full(1, np.nan))
+"""A log that holds nothing of any lap."""
+
+
 @dataclass(frozen=True)
 class PairedLap:
     """One lap of both devices.

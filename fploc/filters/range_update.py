@@ -4,7 +4,7 @@ A range to a known place is a measurement of the track: with h(x) = |x − p| an
 at the prediction, an extended Kalman update takes all ranges of an interval together. One or two ranges then tell
 something, and of two places that fit them equally well the track knows the right one, which no solver that sees a
 single interval does. As for fixes, a range beyond three standard deviations is believed the less the farther it is,
-and ranges that follow one another within the correlation time count as one.
+and ranges that follow one another within a correlation time count as one.
 
 Axes: B devices, K ranges of each.
 """
@@ -54,11 +54,13 @@ class RangedFilter:
     """The Kalman filter on fixes that also takes ranges.
 
     Args:
-        settings: Of the filter; gate and correlation hold for ranges too.
+        settings: Of the filter; the gate holds for ranges too.
+        correlation_s: For so long the errors of successive ranges are one error: walls do not move.
     """
 
-    def __init__(self, settings: KalmanSettings) -> None:
+    def __init__(self, settings: KalmanSettings, correlation_s: float) -> None:
         self.settings = settings
+        self.correlation_s = correlation_s
         self.fixes = BatchedFilter(settings)
 
     def init(self, devices: int, *, device: torch.device | str = "cpu") -> RangedState:
@@ -102,7 +104,7 @@ class RangedFilter:
         innovations = torch.where(there, given.ranges - distances, 0.0)
         known = (directions[..., None, :] @ given.anchor_covariances @ directions[..., None])[..., 0, 0]
         since_s = (tracks.t_s - ranged_t_s).clamp(min=SHORTEST_STEP_S)
-        crowding = (self.settings.correlation_s / since_s).clamp(min=1.0)[:, None]
+        crowding = (self.correlation_s / since_s).clamp(min=1.0)[:, None]
         noise = torch.where(there, (given.variances + known) * crowding, 1.0)
         predicted = slopes @ tracks.covariances @ slopes.mT
         spread = predicted.diagonal(dim1=-2, dim2=-1) + noise

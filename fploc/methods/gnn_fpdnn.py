@@ -9,11 +9,15 @@ from torch import Tensor
 
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.floorplan.raster import CropSettings, PlanRaster
-from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals, links_of
+from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals, links_of, selected
+from fploc.methods.chained import Companion
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.one_shot import RangeSolver
 from fploc.models.fpdnn import FPDNN, Sight
 from fploc.sites.site import Site
+from fploc.solvers.losses import Loss
+from fploc.solvers.nonlinear import solve_near
+from fploc.solvers.reasons import FEWEST_RANGES
 
 CROP_PIXELS_AT_ONCE = 8_000_000
 
@@ -89,6 +93,38 @@ class GNNFPDNN:
         corrected = self.corrected_ranges(intervals, access_points, coarse)
         sigmas = torch.full_like(corrected, self.sigma_m)
         return self.solver(corrected, access_points.double(), sigmas, intervals.heard)
+
+    @torch.no_grad()
+    def refine_beside(
+        self,
+        access_points: Tensor,
+        intervals: Intervals,
+        coarse: Estimate,
+        companion: Companion,
+        *,
+        loss: Loss,
+    ) -> Estimate:
+        """Locate every device as ``refine`` does, with the other device as one more access point.
+
+        With two access points it is the third. Two places fit three ranges about equally well where the
+        three stand nearly on one line: the one next to the smoothed coarse position is taken.
+
+        Args:
+            access_points: Shape (A, 2), metres, site frame.
+            intervals: Of one device each.
+            coarse: Smoothed coarse positions.
+            companion: The other device of each.
+            loss: Of ranges where fewer than three access points are heard.
+        """
+        intervals = intervals.nearer_than(FARTHEST_RANGE_M)
+        corrected = self.corrected_ranges(intervals, access_points, coarse)
+        sigmas = companion.behind(torch.full_like(corrected, self.sigma_m), companion.sigmas)
+        ranges = companion.behind(corrected, companion.ranges)
+        anchors, heard = companion.anchors(access_points), companion.behind(intervals.heard, companion.there)
+        joint = self.solver(ranges, anchors, sigmas, heard)
+        starts = torch.where(coarse.fixed[:, None], coarse.positions, 0.0)
+        near = solve_near(ranges, anchors, sigmas, heard, starts=starts, loss=loss)
+        return selected(coarse.fixed & (intervals.heard.sum(-1) < FEWEST_RANGES), near, joint)
 
     def corrected_ranges(self, intervals: Intervals, access_points: Tensor, coarse: Estimate) -> Tensor:
         """Return ζ̂ of every link, shape (B, A), metres; devices without a coarse position keep ζ."""

@@ -175,14 +175,43 @@ def solve_nonlinear(
     costs = problem.cost(positions)
     costs[:, 1:] /= settings.advantage
     rows = torch.arange(len(positions), device=positions.device)
-    solved = positions[rows, costs.argmin(-1)]
+    return _estimate_at(problem, positions[rows, costs.argmin(-1)], settings)
+
+
+def solve_near(
+    ranges: Tensor,
+    access_points: Tensor,
+    sigmas: Tensor,
+    heard: Tensor,
+    *,
+    starts: Tensor,
+    loss: Loss = SquaredLoss(),
+    settings: NonlinearSettings = NonlinearSettings(),
+) -> Estimate:
+    """Solve for the minimum next to a start: of two places that fit alike, the one on the start's side.
+
+    Args:
+        ranges: As for ``solve_nonlinear``, like all other arguments and the result.
+        access_points: See there.
+        sigmas: See there.
+        heard: See there.
+        starts: One start of each interval, shape (B, 2), metres, site frame.
+        loss: See there.
+        settings: See there.
+    """
+    problem = _Ranges(torch.where(heard, ranges, 0.0), access_points, sigmas, heard, loss)
+    return _estimate_at(problem, _descend(problem, starts[:, None, :], settings)[:, 0], settings)
+
+
+def _estimate_at(problem: _Ranges, solved: Tensor, settings: NonlinearSettings) -> Estimate:
+    """Return the estimate at solutions of shape (B, 2), metres."""
     information, _ = problem.gauss_newton_equations(solved[:, None, :])
     scaled, _ = problem.scaled_residuals(solved[:, None, :])
-    freedom = (heard.sum(-1) - 2).clamp(min=1)
-    variance = (2 * loss.value(scaled).sum(-1)[:, 0] / freedom).clamp(min=1.0)
+    freedom = (problem.heard.sum(-1) - 2).clamp(min=1)
+    variance = (2 * problem.loss.value(scaled).sum(-1)[:, 0] / freedom).clamp(min=1.0)
     covariances = symmetric_inverse(information[:, 0]) * variance[:, None, None]
-    ratios = spread_ratios(access_points, heard)
-    return estimate(solved, covariances, reasons_for(heard, ratios >= settings.smallest_spread_ratio))
+    ratios = spread_ratios(problem.access_points, problem.heard)
+    return estimate(solved, covariances, reasons_for(problem.heard, ratios >= settings.smallest_spread_ratio))
 
 
 def _descend(problem: _Ranges, positions: Tensor, settings: NonlinearSettings) -> Tensor:

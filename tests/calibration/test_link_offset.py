@@ -6,7 +6,9 @@ import pytest
 from fploc.calibration.link_offset import LinkOffsets, LinkOffsetSettings, running_link_offsets
 from fploc.datasets.recordings import Bools, Floats
 
-SETTINGS = LinkOffsetSettings()
+SETTINGS = LinkOffsetSettings(
+    prior_sd_m=1.0, spread_m=1.5, correlation_s=5.0, nearest_m=5.0, reach_m=5.0, step_m=0.05
+)
 NUMBER = 600
 
 

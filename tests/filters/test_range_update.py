@@ -37,13 +37,13 @@ def ranges(there: list[bool], variance_m2: float = 1e-6, anchors: Tensor = ANCHO
 
 
 def started(settings: KalmanSettings = SETTINGS) -> tuple[RangedFilter, RangedState]:
-    tracker = RangedFilter(settings)
+    tracker = RangedFilter(settings, 1e-3)
     begun = tracker.step(tracker.init(1), torch.zeros(1), PRESENT, fix(TRUTH + 1.0), ranges([False] * 4))
     return tracker, begun[0]
 
 
 def test_without_ranges_it_is_the_filter_on_fixes() -> None:
-    tracker, plain = RangedFilter(SETTINGS), BatchedFilter(SETTINGS)
+    tracker, plain = RangedFilter(SETTINGS, 1e-3), BatchedFilter(SETTINGS)
     state, expected = tracker.init(1), plain.init(1)
     for step, shown in enumerate([fix(TRUTH), NOWHERE, fix(TRUTH + 0.5)]):
         t_s = torch.tensor([float(step)])
@@ -101,7 +101,7 @@ def test_the_scalar_update_is_the_closed_form() -> None:
 
 
 def test_no_track_starts_at_a_range() -> None:
-    tracker = RangedFilter(SETTINGS)
+    tracker = RangedFilter(SETTINGS, 1e-3)
     _, found = tracker.step(tracker.init(1), torch.zeros(1), PRESENT, NOWHERE, ranges([True] * 4))
     assert found.reasons.tolist() == [NoFix.TOO_FEW_RANGES]
 
@@ -125,6 +125,19 @@ def test_a_range_far_off_is_believed_the_less_the_farther_it_is(wrong_m: float) 
         moves.append(float(torch.dist(found.positions[0], state.tracks.means[0, :2])))
     guarded, plain = moves
     assert guarded < 60.0 / wrong_m < plain
+
+
+def test_ranges_that_crowd_count_as_one() -> None:
+    """Ten within a second tell about as much of the position as one does."""
+    spreads = []
+    for number in (1, 10):
+        tracker = RangedFilter(SETTINGS, correlation_s=1.0)
+        state = tracker.step(started()[1], torch.zeros(1), PRESENT, NOWHERE, ranges([True] * 4, 1.0))[0]
+        for step in range(number):
+            t_s = torch.tensor([(step + 1) / number], dtype=torch.float64)
+            state, found = tracker.step(state, t_s, PRESENT, NOWHERE, ranges([True] * 4, 1.0))
+        spreads.append(float(found.covariances[0].trace()))
+    assert spreads[1] == pytest.approx(spreads[0], rel=0.25)
 
 
 def test_the_order_of_places_does_not_matter() -> None:
