@@ -33,6 +33,7 @@ class MeasuredDataModule(pl.LightningDataModule):
         batches: Training batches of an epoch.
         seed: Seed of the order of training batches.
         offsets_file: Offsets fitted and saved before; None fits them in ``setup``.
+        validation_thin: Every so many-th interval validates.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class MeasuredDataModule(pl.LightningDataModule):
         batches: int = 50,
         seed: int = 0,
         offsets_file: Path | None = None,
+        validation_thin: int = 1,
     ) -> None:
         super().__init__()
         self.data_root = data_root
@@ -57,6 +59,7 @@ class MeasuredDataModule(pl.LightningDataModule):
         self.batches = batches
         self.seed = seed
         self.offsets_file = offsets_file
+        self.validation_thin = validation_thin
         self.packed: PackedSite | None = None
         self.offsets: RangeOffsets | None = None
 
@@ -82,7 +85,9 @@ class MeasuredDataModule(pl.LightningDataModule):
         """Return the recordings of ``train``, ``validate`` or ``test``."""
         assert self.packed is not None, "setup() comes first"
         chosen = self.packed.splits.part(part)
-        return [one for one in self.packed.recordings() if (one.device, one.name) in chosen]
+        every = self.validation_thin if part == "validate" else 1
+        recordings = [one for one in self.packed.recordings() if (one.device, one.name) in chosen]
+        return [one.thinned(every) for one in recordings]
 
     def intervals(self, part: str) -> MeasuredIntervals:
         """Return the calibrated intervals of a part."""

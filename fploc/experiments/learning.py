@@ -75,6 +75,7 @@ class Learner:
             batch_size=self.preset.batch_intervals,
             batches=self.preset.batches_per_epoch,
             offsets_file=offsets_file,
+            validation_thin=self.preset.validation_thin,
         )
         measured.setup()
         return measured

@@ -55,6 +55,7 @@ class Preset:
         epochs: Of each training.
         learning_rates: Of each network.
         random_layout_share: Share of virtual batches with access points elsewhere.
+        validation_thin: Every so many-th interval of the source's validation recordings validates.
         thins: Every so many-th interval is evaluated; the first is the headline.
         synthesized: Sites that the generator's maps and its match with measurements are made of.
         plans: Plans that ``gnn-fpdnn`` is scored with beside the real one, zero-shot.
@@ -81,6 +82,7 @@ class Preset:
     epochs: dict[str, int]
     learning_rates: dict[str, float]
     random_layout_share: float
+    validation_thin: int = 1
     thins: tuple[int, ...] = (1,)
     synthesized: tuple[str, ...] = ()
     plans: tuple[str, ...] = ()
