@@ -15,6 +15,8 @@ TRAINED_ELSEWHERE = ("multi-device",)
 HEADLINE_PLAN = "real"
 JOINT_METHODS = ("lls", "nls", "nls-robust", "nls-onesided", "trilateration", *LEARNED_METHODS)
 """Methods that can take another device as one more anchor."""
+OFFICE_ONLY = ("gbm",)
+"""Fitted whenever it is run, which takes minutes on many sites."""
 SEEN_ONLY = ("knn",)
 """Fingerprints know no place that they were not taken at."""
 
@@ -81,7 +83,10 @@ def methods_for(protocol: str, preset: Preset) -> list[str]:
     """Return those of a preset's methods that a protocol can be run with."""
     if protocol in TRAINED_ELSEWHERE:
         return [one for one in preset.methods if one in JOINT_METHODS]
-    return [one for one in preset.methods if protocol == SEEN or one not in SEEN_ONLY]
+    left_out = SEEN_ONLY if protocol != SEEN else ()
+    if protocol_of(protocol).pools:
+        left_out = (*left_out, *OFFICE_ONLY)
+    return [one for one in preset.methods if one not in left_out]
 
 
 def is_headline(scoring: Scoring, preset: Preset) -> bool:

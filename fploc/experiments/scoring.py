@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, replace
+import json
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from fploc.artifacts import Artifact, ArtifactKey, load_artifact
 from fploc.calibration.offsets import RangeOffsets
-from fploc.datasets.packed import PackedSite, packed_sites, read_packed
+from fploc.datasets.packed import (
+    PackedSite,
+    manifest_hash,
+    packed_folder,
+    packed_sites,
+    read_manifest,
+    read_packed,
+)
 from fploc.errors import UnknownNameError
 from fploc.evaluation.evaluate import (
     EvaluationRequest,
@@ -21,7 +30,7 @@ from fploc.evaluation.evaluate import (
 from fploc.evaluation.multi_device import multi_device_records
 from fploc.evaluation.protocols import PUBLIC_SOURCE, EvaluationProtocol, Targets, Tested, protocol_of
 from fploc.evaluation.records import Record
-from fploc.experiments.plan import LEARNED_METHODS
+from fploc.experiments.plan import LEARNED_METHODS, SEEN
 from fploc.experiments.preset import VARIANT, check_preset
 from fploc.experiments.source_fit import check_protocol, fitted_on
 from fploc.experiments.training import trained_from
@@ -130,9 +139,26 @@ def _untrained_method(
     """Return a method that needs no artifact: of pure geometry, or fitted on the source now."""
     if name not in SOURCE_FITTED_METHODS:
         return geometric_method(name)
-    learner = SOURCE_FITTED_METHODS[name]()
-    check_protocol(learner, protocol_of(request.protocol, request.source))
-    return fitted_on(learner, source_recordings(request, data_root), offsets)
+    protocol = protocol_of(request.protocol, request.source)
+    check_protocol(SOURCE_FITTED_METHODS[name](), protocol)
+    # What is learned from one source depends neither on the target nor on the rest of the protocol.
+    learned = (
+        EvaluationRequest(request.protocol, request.site, source=request.source)
+        if protocol.pools
+        else EvaluationRequest(SEEN, protocol.source, source=request.source)
+    )
+    there = [packed_folder(data_root, site) for site in packed_sites(data_root)]
+    hashes = tuple(manifest_hash(read_manifest(folder)) for folder in there)
+    return _fitted(name, learned, json.dumps(asdict(offsets), sort_keys=True), data_root, hashes)
+
+
+@lru_cache(maxsize=8)
+def _fitted(
+    name: str, request: EvaluationRequest, offsets: str, data_root: Path, hashes: tuple[str, ...]
+) -> Method:
+    """Fit a method once for many targets, as long as no packed site changes its hash; offsets as JSON."""
+    removed = RangeOffsets(**json.loads(offsets))
+    return fitted_on(SOURCE_FITTED_METHODS[name](), source_recordings(request, data_root), removed)
 
 
 def _learned_and_tested(
