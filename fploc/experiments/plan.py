@@ -13,12 +13,12 @@ SEES_THE_PLAN = "gnn-fpdnn"
 SEEN, ZERO_SHOT = "seen", "zero-shot"
 TRAINED_ELSEWHERE = ("multi-device",)
 HEADLINE_PLAN = "real"
-JOINT_METHODS = ("lls", "nls", "nls-robust", "nls-onesided", "trilateration", *LEARNED_METHODS)
-"""Methods that can take another device as one more anchor."""
-OFFICE_ONLY = ("gbm",)
-"""Fitted whenever it is run, which takes minutes on many sites."""
 SEEN_ONLY = ("knn",)
 """Fingerprints know no place that they were not taken at."""
+COMPARED_EVERYWHERE = ("trilateration", "nls-onesided", *LEARNED_METHODS)
+"""Rivals learn nothing of a target, so that all of them are compared under two protocols; in the other ones the
+paper's and the strongest one without learning stand beside the networks."""
+WITH_ALL_RIVALS = (SEEN, ZERO_SHOT)
 
 
 @dataclass(frozen=True)
@@ -80,13 +80,10 @@ class Scoring:
 
 
 def methods_for(protocol: str, preset: Preset) -> list[str]:
-    """Return those of a preset's methods that a protocol can be run with."""
-    if protocol in TRAINED_ELSEWHERE:
-        return [one for one in preset.methods if one in JOINT_METHODS]
-    left_out = SEEN_ONLY if protocol != SEEN else ()
-    if protocol_of(protocol).pools:
-        left_out = (*left_out, *OFFICE_ONLY)
-    return [one for one in preset.methods if one not in left_out]
+    """Return those of a preset's methods that a protocol is run with."""
+    if protocol not in WITH_ALL_RIVALS:
+        return [one for one in preset.methods if one in COMPARED_EVERYWHERE]
+    return [one for one in preset.methods if protocol == SEEN or one not in SEEN_ONLY]
 
 
 def is_headline(scoring: Scoring, preset: Preset) -> bool:
@@ -157,14 +154,14 @@ def scorings(preset: Preset, protocols: Mapping[str, Sequence[str]]) -> Iterator
         for site in sites:
             for method in methods_for(protocol, preset):
                 seeds = preset.seeds if method in LEARNED_METHODS else preset.seeds[:1]
+                thinned = protocol == ZERO_SHOT and method in COMPARED_EVERYWHERE
                 for seed in seeds:
-                    for thin in preset.thins if protocol == ZERO_SHOT else preset.thins[:1]:
+                    for thin in preset.thins if thinned else preset.thins[:1]:
                         yield Scoring(method, protocol, site, seed, thin=thin)
-    for site in protocols.get(ZERO_SHOT, ()):
+    for site in [one for one in preset.ablation_targets if one in protocols.get(ZERO_SHOT, ())]:
         for seed in preset.seeds:
             for plan in (one for one in preset.plans if one != site):
                 yield Scoring(SEES_THE_PLAN, ZERO_SHOT, site, seed, plan=plan, thin=preset.thins[0])
-        if site in preset.ablation_targets:
-            for seed in preset.ablation_seeds:
-                for ablation in preset.ablations:
-                    yield Scoring(SEES_THE_PLAN, ZERO_SHOT, site, seed, ablation, thin=preset.thins[0])
+        for seed in preset.ablation_seeds:
+            for ablation in preset.ablations:
+                yield Scoring(SEES_THE_PLAN, ZERO_SHOT, site, seed, ablation, thin=preset.thins[0])

@@ -32,6 +32,7 @@ from fploc.experiments.plan import (
     Learning,
     Scoring,
     chosen_protocols,
+    is_headline,
     learnings,
     needed_sites,
     scorings,
@@ -267,7 +268,9 @@ class Reproduction:
         )
 
     def _run_figures(self, scoring: Scoring, tracks: Sequence[Track]) -> dict[str, Figure]:
-        """Return the figures of a run: errors and one track of each device."""
+        """Return the figures of a run: errors and one track of each device; none beside the plain ones."""
+        if not is_headline(scoring, self.preset):
+            return {}
         packed = self.packed[scoring.site]
         errors = {
             f"cdf-device{device}.png": plot_cdf(

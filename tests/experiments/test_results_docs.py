@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fploc.errors import MissingFileError
+from fploc.evaluation.records import read_tracked_records, write_records
+from fploc.experiments.results_docs import page_of, update_docs
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_the_committed_page_is_what_records_and_facts_make() -> None:
+    assert (DOCS / "results.md").read_text(encoding="utf-8") == page_of(DOCS)
+
+
+def finished(runs: Path, preset: str, facts: dict[str, Any]) -> None:
+    """Leave behind what a finished run of a preset leaves, with one committed record."""
+    (runs / preset).mkdir(parents=True)
+    record = read_tracked_records(DOCS / "results.jsonl")[0]
+    write_records(
+        [replace(record, record=replace(record.record, preset=preset))], runs / preset / "records.jsonl"
+    )
+    (runs / preset / "facts.json").write_text(json.dumps(facts))
+
+
+def test_runs_are_joined_and_costs_say_whose_they_are(tmp_path: Path) -> None:
+    runs, docs = tmp_path / "runs", tmp_path / "docs"
+    docs.mkdir()
+    finished(
+        runs, "full", {"training_cost": [{"stage": "train--a", "seconds": 3.0}], "ablations": {"x": "why"}}
+    )
+    finished(runs, "published", {"training_cost": [{"stage": "train--b", "seconds": 4.0}], "ablations": {}})
+    rate = {"network": "generator", "site": "office", "threads": 1, "links_per_s": 5000.0}
+    (runs / "virtual-stream.json").write_text(json.dumps([rate]))
+    page = update_docs(runs, docs)
+    assert page.read_text(encoding="utf-8") == page_of(docs)
+    assert [one.record.preset for one in read_tracked_records(docs / "results.jsonl")] == [
+        "full",
+        "published",
+    ]
+    facts = json.loads((docs / "results-facts.json").read_text())
+    assert [(row["preset"], row["seconds"]) for row in facts["training_cost"]] == [
+        ("full", 3.0),
+        ("published", 4.0),
+    ]
+    assert facts["ablations"] == {"x": "why"}
+    assert facts["virtual_rates"] == {"generator on office, threads: 1": 5000.0}
+
+
+def test_a_missing_run_names_the_command_that_makes_it(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match="fploc reproduce --preset full"):
+        update_docs(tmp_path, tmp_path)
