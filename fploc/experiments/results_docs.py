@@ -29,8 +29,8 @@ def update_docs(runs: Path, docs: Path) -> Path:
         MissingFileError: If the preset ``full`` was not run to its end.
     """
     presets = [name for name in (BASE, WIDE) if name == BASE or (runs / name / FACTS).is_file()]
-    records = [one for name in presets for one in read_tracked_records(runs / name / RECORDS)]
     facts = {name: _facts(runs / name / FACTS) for name in presets}
+    records = [one for name in presets for one in read_tracked_records(runs / name / RECORDS)]
     costs = [row | {"preset": name} for name, own in facts.items() for row in own["training_cost"]]
     joined = facts[BASE] | {"training_cost": costs, "virtual_rates": _rates(runs / RATES)}
     write_records(records, docs / f"{DOCUMENT}.jsonl")
