@@ -8,16 +8,19 @@ import pytest
 
 from fploc.evaluation.protocols import MOVED_SITES, POOLED_SITES, protocol_of
 from fploc.experiments.plan import (
+    COMPARED_EVERYWHERE,
     LEARNED_METHODS,
     Learning,
     Scoring,
     chosen_protocols,
     is_headline,
     learnings,
+    methods_for,
     needed_sites,
     scorings,
 )
 from fploc.experiments.preset import PRESETS, Preset, read_preset
+from fploc.experiments.scoring import METHODS
 
 SOURCE = "office"
 THERE = [*POOLED_SITES]
@@ -78,15 +81,16 @@ def test_whatever_is_scored_is_trained_and_nothing_is_trained_in_vain(name: str,
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_method_is_scored_at_every_place_and_learned_ones_with_every_seed(name: str) -> None:
+def test_methods_are_scored_at_every_place_and_learned_ones_with_every_seed(name: str) -> None:
     preset = read_preset(name)
     protocols, _, scored, _ = planned(preset, "everything")
     plain = [one for one in scored if not one.ablation and one.plan == "real"]
     for protocol, sites in protocols.items():
-        thins = preset.thins if protocol == "zero-shot" else preset.thins[:1]
         for site in sites:
-            for method in preset.methods:
+            for method in methods_for(protocol, preset):
                 seeds = preset.seeds if method in LEARNED_METHODS else preset.seeds[:1]
+                thinned = protocol == "zero-shot" and method in COMPARED_EVERYWHERE
+                thins = preset.thins if thinned else preset.thins[:1]
                 found = [
                     (one.seed, one.thin)
                     for one in plain
@@ -95,13 +99,24 @@ def test_every_method_is_scored_at_every_place_and_learned_ones_with_every_seed(
                 assert found == [(seed, thin) for seed in seeds for thin in thins]
 
 
+def test_all_methods_are_compared_where_nothing_is_learned_of_a_target_and_the_strongest_elsewhere() -> None:
+    full = read_preset("full")
+    assert methods_for("seen", full) == list(full.methods)
+    assert set(methods_for("zero-shot", full)) == set(full.methods) - {"knn"}
+    for protocol in set(full.protocols) - {"seen", "zero-shot"}:
+        assert set(methods_for(protocol, full)) == {"trilateration", "nls-onesided", "gnn", "gnn-fpdnn"}
+    every = replace(full, methods=METHODS)
+    assert set(methods_for("zero-shot", every)) == set(METHODS) - {"knn"}
+    assert {"knn", "gbm"} <= set(methods_for("seen", every))
+
+
 def test_plans_and_ablations_are_scored_zero_shot_with_the_method_that_sees_the_plan() -> None:
     preset = read_preset("full")
     _, _, scored, _ = planned(preset, "everything")
     special = [one for one in scored if one.ablation or one.plan != "real"]
     assert {(one.protocol, one.method, one.thin) for one in special} == {("zero-shot", "gnn-fpdnn", 1)}
     plans = {(one.site, one.plan) for one in special if not one.ablation}
-    sites = preset.protocols["zero-shot"]
+    sites = preset.ablation_targets
     assert plans == {(site, plan) for site in sites for plan in preset.plans if plan != site}
     ablated = {(one.site, one.ablation, one.seed) for one in special if one.ablation}
     assert ablated == {
@@ -132,7 +147,7 @@ def test_one_scoring_of_each_method_and_place_is_the_headline() -> None:
     protocols, _, scored, _ = planned(preset, "everything")
     headline = [one for one in scored if is_headline(one, preset)]
     places = [(protocol, site) for protocol, sites in protocols.items() for site in sites]
-    expected = [(*place, method) for place in places for method in preset.methods]
+    expected = [(*place, method) for place in places for method in methods_for(place[0], preset)]
     assert [(one.protocol, one.site, one.method) for one in headline] == expected
     assert {(one.seed, one.thin, one.plan, one.ablation) for one in headline} == {(5, 3, "real", "")}
 

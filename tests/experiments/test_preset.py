@@ -117,6 +117,7 @@ OTHER: dict[str, Any] = {
     "epochs": {"generator": 7, "gnn": 7, "fpdnn": 7, "gnn_adapted": 7, "fpdnn_adapted": 7},
     "learning_rates": {"generator": 0.5, "gnn": 0.5, "fpdnn": 0.5},
     "random_layout_share": 0.25,
+    "validation_thin": 7,
     "streams": "virtual",
     "sight_shares": (0.5, 0.25, 0.25),
     "augmentation": {"mirror": 0.25},
