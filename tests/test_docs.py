@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from fploc.cli import make_parser
+from fploc.evaluation.protocols import PROTOCOLS
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -80,8 +81,14 @@ def test_paths_named_in_code_spans_exist() -> None:
 
 
 def test_every_preset_has_its_row() -> None:
-    rows = re.findall(r"^\| `(\w+)` \|", README.read_text("utf-8"), flags=re.MULTILINE)
+    section = README.read_text("utf-8").partition("### Presets\n")[2].partition("\n### ")[0]
+    rows = re.findall(r"^\| `(\w+)` \|", section, flags=re.MULTILINE)
     assert set(rows) == {path.stem for path in (ROOT / "conf" / "preset").glob("*.yaml")}
+
+
+def test_every_protocol_has_its_row() -> None:
+    section = README.read_text("utf-8").partition("| protocol |")[2].partition("\n\n")[0]
+    assert re.findall(r"^\| `([\w-]+)` \|", section, flags=re.MULTILINE) == [one.name for one in PROTOCOLS]
 
 
 def test_citation_agrees_with_the_project() -> None:
