@@ -155,3 +155,23 @@ def test_a_device_that_was_carried_away_is_found_again() -> None:
 def test_it_asks_for_ranges_as_its_model_was_fitted() -> None:
     assert BayesGrid().default_calibration == "none"
     assert BayesGrid().for_speed(1.4).settings == replace(BayesGrid().settings, speed_prior_mps=1.4)
+
+
+def test_intervals_in_quick_succession_share_one_likelihood() -> None:
+    method = BayesGrid(replace(COARSE, correlation_s=2.0, speed_prior_mps=1e-6))
+    measured = [[5.1, 7.2, 6.0, 4.9]]
+    fresh = method.init(SITE, 1)
+    alone, _ = method.step(fresh, interval(measured))
+    soon, _ = method.step(alone, interval(measured, t_s=0.5))
+    late, _ = method.step(alone, interval(measured, t_s=2.0))
+    likelihood = alone.beliefs / fresh.beliefs
+    for after, power in ((soon, 0.25), (late, 1.0)):
+        expected = alone.beliefs * likelihood**power
+        torch.testing.assert_close(after.beliefs, expected / expected.sum(), atol=1e-9, rtol=1e-6)
+
+
+def test_silence_between_two_readings_does_not_take_from_the_second() -> None:
+    method = BayesGrid(replace(COARSE, correlation_s=2.0))
+    state, _ = method.step(method.init(SITE, 1), interval([[5.1, 7.2, 6.0, 4.9]]))
+    state, _ = method.step(state, interval([[0.0] * 4], t_s=1.9))
+    assert state.heard_t_s.tolist() == [0.0] and state.t_s.tolist() == [1.9]
