@@ -5,7 +5,8 @@ the latest reading of the link stand beside it, none older than a stated age; th
 is learned from the fixes so far (``fploc.calibration.link_offset``). What a method makes of them:
 
 - the GNN gets edges between the two devices both ways, and needs three neighbours, the other device included;
-- behind FPDNN the solver takes the other device as one more access point;
+- before FPDNN the link enters the filter on coarse positions, and behind it the solver takes the other device as
+  one more access point;
 - a solver of single intervals is chained: device 1 alone, device 2 with device 1 as one more access point.
 
 ``ranged_tracks`` is another way to use the link, the same for every method: it enters the Kalman filter as a range,
@@ -214,7 +215,7 @@ def joint_tracks(
             case GNNMethod():
                 found = _gnn(method, site, batch)
             case GNNFPDNN():
-                found = _gnn_fpdnn(method, site, batch, settings.loss)
+                found = _gnn_fpdnn(method, site, batch, settings)
             case OneShotMethod():
                 found = _chained(method, site, batch, [pair.own.recording for pair in pairs], settings)
         located = time.perf_counter()
@@ -256,22 +257,10 @@ def ranged_tracks(
     """
     with torch.inference_mode():
         batch = _Batch.of(site, pairs, offsets, settings)
-        fixes = _fixes(pairs, len(batch.own.t_s))
-        near = batch.own.nearer_than(FARTHEST_RANGE_M)
-        tracker = RangedFilter(filter_settings, settings.offset.correlation_s)
-        state, filtered = tracker.init(len(pairs)), []
-        access_points = torch.from_numpy(site.positions_m)
         started = time.perf_counter()
-        for step in range(len(fixes.reasons)):
-            shown = Estimate(fixes.positions[step], fixes.covariances[step], fixes.reasons[step])
-            further = _further_ranges(
-                rows_at(near, step), batch.companion_at(step), access_points, ~shown.fixed, settings
-            )
-            own = batch.own
-            state, one = tracker.step(state, own.t_s[step], own.present[step], shown, further)
-            filtered.append(one)
+        fixes = _fixes(pairs, batch.shape[0])
+        together = _ranged(site, batch, fixes, ~fixes.fixed, filter_settings, settings)
         spent_ms = 1000.0 * (time.perf_counter() - started) / int(batch.own.present.sum())
-    together = stacked(filtered)
     return [
         replace(
             pair.own,
@@ -369,6 +358,29 @@ def _fixes(pairs: Sequence[Beside], steps: int) -> Estimate:
     )
 
 
+def _ranged(
+    site: Site,
+    batch: _Batch,
+    fixes: Estimate,
+    is_free: Tensor,
+    filter_settings: KalmanSettings,
+    settings: DeviceLinkSettings,
+) -> Estimate:
+    """Return fixes filtered with the link and, where ``is_free`` (T, B), ranges to access points; (T, B, …)."""
+    tracker = RangedFilter(filter_settings, settings.offset.correlation_s)
+    own, access_points = batch.own.nearer_than(FARTHEST_RANGE_M), torch.from_numpy(site.positions_m)
+    steps, devices = batch.shape
+    state, filtered = tracker.init(devices), []
+    for step in range(steps):
+        shown = Estimate(fixes.positions[step], fixes.covariances[step], fixes.reasons[step])
+        further = _further_ranges(
+            rows_at(own, step), batch.companion_at(step), access_points, is_free[step], settings
+        )
+        state, one = tracker.step(state, own.t_s[step], own.present[step], shown, further)
+        filtered.append(one)
+    return stacked(filtered)
+
+
 def _further_ranges(
     intervals: Intervals,
     companion: Companion,
@@ -411,6 +423,14 @@ def _gnn(method: GNNMethod, site: Site, batch: _Batch) -> Estimate:
     return joined(found, steps, devices)
 
 
+def _gnn_alone(method: Method, site: Site, batch: _Batch) -> Estimate:
+    """Return the GNN's fixes of each device alone, shape (T, B, …)."""
+    steps, devices = batch.shape
+    rows, state = flat(batch.own), method.init(site, steps * devices)
+    found = [method.step(state, rows_at(rows, at))[1] for at in chunks(steps * devices, ROWS_AT_ONCE)]
+    return joined(found, steps, devices)
+
+
 def _one_after_the_other(mine: Intervals, theirs: Intervals, links: DeviceLinks) -> Intervals:
     """Return intervals (B, …) and those of the other devices as one batch (2 B, …) with their links."""
     names = [one.name for one in fields(Intervals) if one.name != "links"]
@@ -418,22 +438,30 @@ def _one_after_the_other(mine: Intervals, theirs: Intervals, links: DeviceLinks)
     return Intervals(**arrays, links=links)
 
 
-def _gnn_fpdnn(method: GNNFPDNN, site: Site, batch: _Batch, loss: Loss) -> Estimate:
-    """Return the chain's fixes with the other device beside each, shape (T, B, …)."""
+def _gnn_fpdnn(method: GNNFPDNN, site: Site, batch: _Batch, settings: DeviceLinkSettings) -> Estimate:
+    """Return the chain's fixes with the other device beside each, shape (T, B, …).
+
+    The coarse positions are the GNN's of each device alone; the link enters the filter that smooths them, and
+    with it the ranges to access points that are too few for the GNN, so that there are crops for these too.
+    """
     steps, devices = batch.shape
-    coarse = filtered_in_turn(method.filter, batch.own, _gnn(method.coarse, site, batch))
+    alone = _gnn_alone(method.coarse, site, batch)
+    is_free = ~alone.fixed & batch.companion.there.reshape(steps, devices)
+    coarse = _ranged(site, batch, alone, is_free, method.filter.settings, settings)
     rows, access_points = flat(batch.own), method.coarse.init(site, devices)
-    found = []
+    refined = []
     for at in chunks(steps * devices, method.rows_at_once(len(site.access_points))):
         smooth = Estimate(
             coarse.positions.flatten(0, 1)[at],
             coarse.covariances.flatten(0, 1)[at],
             coarse.reasons.flatten()[at],
         )
-        found.append(
-            method.refine_beside(access_points, rows_at(rows, at), smooth, batch.companion.at(at), loss=loss)
+        refined.append(
+            method.refine_beside(
+                access_points, rows_at(rows, at), smooth, batch.companion.at(at), loss=settings.loss
+            )
         )
-    return joined(found, steps, devices)
+    return joined(refined, steps, devices)
 
 
 def _chained(
