@@ -14,6 +14,7 @@ import fploc.artifacts
 from fploc.artifacts import FORMAT_VERSION, Artifact, ArtifactKey, load_artifact
 from fploc.conf import instantiate
 from fploc.errors import BadFileError, FplocError, MissingArtifactError
+from fploc.models.fpdnn import Sight
 
 KEY = ArtifactKey(method="gnn-fpdnn", protocol="zero-shot", target="hall", preset="smoke", seed=3)
 COMMAND = "fploc reproduce --preset smoke"
@@ -75,7 +76,8 @@ def distances(made: Artifact) -> Tensor:
         torch.rand(4, 1, 20, 40, generator=torch.Generator().manual_seed(1)),
         torch.tensor([3, 12, 25, 40]),
     )
-    return made.networks["fpdnn"](*inputs, torch.arange(4.0), torch.full((4,), -60.0))
+    sight = torch.full((4,), int(Sight.PLAN))
+    return made.networks["fpdnn"](*inputs, torch.arange(4.0), torch.full((4,), -60.0), sight)
 
 
 def files(root: Path) -> set[str]:
@@ -146,7 +148,7 @@ def test_an_artifact_of_other_data_is_refused(tmp_path: Path) -> None:
 def test_an_artifact_of_another_version_is_refused(tmp_path: Path) -> None:
     file = artifact().save(tmp_path) / "artifact.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"format_version": FORMAT_VERSION + 1}))
-    with pytest.raises(MissingArtifactError, match=r"format_version: found 2, expected 1; make it: fploc"):
+    with pytest.raises(MissingArtifactError, match=r"format_version: found 3, expected 2; make it: fploc"):
         load(tmp_path)
 
 

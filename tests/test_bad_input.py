@@ -251,7 +251,7 @@ def fploc_download() -> Callable[..., Path]:
         (["--method", "nlz"], f"--method: found 'nlz', expected one of {', '.join(METHODS)};"),
         (["--protocol", "guess"], "--protocol: found 'guess'"),
         (["--device", "3"], "--device: found '3'"),
-        (["--preset", "huge"], "--preset: found huge"),
+        (["--preset", "huge"], "--preset: found 'huge'"),
         (["--labels", "true"], "--labels: found 'true'"),
         (["--calibration", "lots"], "--calibration: found 'lots'"),
         (["--calibration", "nan"], "--calibration: found 'nan'"),

@@ -100,7 +100,10 @@ def test_refused_words_end_in_one_line(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ([], "found no command, expected one of data, made-up, fit, synthesize, evaluate, reproduce;"),
+        (
+            [],
+            "found no command, expected one of data, made-up, fit, synthesize, evaluate, tune, bench, reproduce;",
+        ),
         (["fly"], "found 'fly', expected one of data, made-up, fit,"),
         (["data"], "found no command, expected one of download, verify, build, describe;"),
         (["data", "fly"], "found 'fly', expected one of download, verify, build, describe;"),

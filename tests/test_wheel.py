@@ -114,7 +114,7 @@ def test_commands_answer_from_another_folder(installed: Path, tmp_path: Path) ->
 
 def test_conf_and_registry_are_read_out_of_the_wheel(installed: Path, tmp_path: Path) -> None:
     code = "from fploc.conf import read_conf; print(read_conf('preset', 'smoke')['solver'])"
-    assert run(installed, ["python", "-c", code], tmp_path).stdout == "nls\n"
+    assert run(installed, ["python", "-c", code], tmp_path).stdout == "nls-onesided\n"
     site = run(installed, ["fploc", "data", "build", "--sites", "nope"], tmp_path)
     assert site.returncode == 2 and ", ".join(known_sites()) in site.stderr
     assert not list(tmp_path.iterdir())

@@ -54,7 +54,7 @@ def root(tmp_path_factory: pytest.TempPathFactory, miniature: Preset, pack: Call
         specs={"generator": spec},
         networks={"generator": instantiate(Generator, spec)},
         constants={"heard_shares": [1.0, 0.8]},
-        data_hash=data_hash(source, source),
+        data_hash=data_hash(source),
         recordings=(),
         command="fploc reproduce --preset smoke",
     ).save(folder / "runs" / "artifacts")
