@@ -9,6 +9,9 @@ is learned from the fixes so far (``fploc.calibration.link_offset``). What a met
   one more access point;
 - a solver of single intervals is chained: device 1 alone, device 2 with device 1 as one more access point.
 
+That the link enters the filter on coarse positions, and that the solver starts near these, was chosen with the
+mall's labels in view: of the mall, results of two devices are those of a development site.
+
 ``ranged_tracks`` is another way to use the link, the same for every method: it enters the Kalman filter as a range,
 and so do ranges to access points where they are too few for a fix.
 
