@@ -111,10 +111,10 @@ def tune(name: str, *, trials: int, seed: int, data_root: Path, source: str = PU
     study.optimize(objective, n_trials=trials)
     best = {key: _rounded(value) for key, value in study.best_params.items()}
     before, after = (math.exp(value) for value in (study.trials[0].value or 0.0, study.best_value))
-    origin = (
-        f"{ORIGIN}`fploc tune --method {name} --trials {trials} --seed {seed}` on {trial_runs.names}, RMSE "
-        f"{before:.3f} -> {after:.3f} m: {', '.join(best)}."
-    )
+    origin = [
+        f"{ORIGIN}`fploc tune --method {name} --trials {trials} --seed {seed}` on {trial_runs.names},",
+        f"{ORIGIN}RMSE {before:.3f} -> {after:.3f} m: {', '.join(best)}.",
+    ]
     return Tuned(best, before, after, _with_origin(_with_settings(text, best), origin))
 
 
@@ -249,7 +249,7 @@ def _written(value: Setting) -> str:
     )
 
 
-def _with_origin(text: str, origin: str) -> str:
+def _with_origin(text: str, origin: Sequence[str]) -> str:
     """Return a method's file that says how it was tuned, and that once."""
     lines = [line for line in text.splitlines() if not line.startswith(ORIGIN)]
-    return "\n".join([origin, *lines]) + "\n"
+    return "\n".join([*origin, *lines]) + "\n"

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 
 from fploc.intervals import Intervals, NoFix
-from fploc.methods.nls import nls
+from fploc.methods.nls import NAME, nls
+from fploc.methods.nls_robust import read_settings
 from fploc.sites.site import AccessPoint, Site
 
 SITE = Site(
@@ -42,7 +45,7 @@ def test_an_offset_common_to_all_ranges_spreads_the_covariance() -> None:
     here = torch.ones(1, 4, dtype=torch.bool)
     clean = interval(truth, here)
     late = Intervals(clean.t_s, clean.ranges + 6.0, clean.stds, clean.rss, clean.heard, clean.present)
-    method = nls()
+    method = nls(replace(read_settings(NAME), sigma_m=1.0, sigma_per_m=0.0))
     state = method.init(SITE, 1)
     honest, spoilt = method.step(state, clean)[1], method.step(state, late)[1]
     assert spoilt.covariances[0].trace() > 4 * honest.covariances[0].trace()
