@@ -149,7 +149,9 @@ METHODS = pytest.mark.parametrize(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["lls", "nls", "nls-robust", "nls-onesided", "trilateration"])
+@pytest.mark.parametrize(
+    "name", ["lls", "nls", "nls-weighted", "nls-robust", "nls-onesided", "trilateration"]
+)
 def test_noise_free_ranges_and_link_give_both_devices_to_a_micrometre(name: str) -> None:
     method = geometric_method(name)
     first, second = (exact(track) for track in alone(method, recording(1), recording(2)))
@@ -159,7 +161,9 @@ def test_noise_free_ranges_and_link_give_both_devices_to_a_micrometre(name: str)
         assert error_m(track.unfiltered.positions_m, track).max() < 1e-6
 
 
-@pytest.mark.parametrize("name", ["lls", "nls", "nls-robust", "nls-onesided", "trilateration"])
+@pytest.mark.parametrize(
+    "name", ["lls", "nls", "nls-weighted", "nls-robust", "nls-onesided", "trilateration"]
+)
 def test_two_access_points_and_the_link_fix_device_2_and_without_it_nothing_does(name: str) -> None:
     method = geometric_method(name)
     first, second = alone(method, recording(1), recording(2, two_heard()))

@@ -1,4 +1,4 @@
-"""``nls``: nonlinear least squares on all ranges with the squared loss (rivals.md)."""
+"""``nls``: nonlinear least squares on all ranges alike, with the squared loss (rivals.md)."""
 
 from __future__ import annotations
 

@@ -22,6 +22,7 @@ from fploc.methods.lls import LlsSettings, lls
 from fploc.methods.nls import nls
 from fploc.methods.nls_onesided import nls_onesided
 from fploc.methods.nls_robust import RobustSettings, nls_robust
+from fploc.methods.nls_weighted import nls_weighted
 from fploc.methods.rtt_rss import RttRss, RttRssSettings
 from fploc.methods.trilateration import ThreeNearestSettings, trilateration
 
@@ -42,6 +43,7 @@ class MethodParts:
 GEOMETRIC_PARTS: Mapping[str, MethodParts] = {
     "lls": MethodParts(LlsSettings, lls),
     "nls": MethodParts(RobustSettings, nls),
+    "nls-weighted": MethodParts(RobustSettings, nls_weighted),
     "nls-robust": MethodParts(RobustSettings, nls_robust),
     "nls-onesided": MethodParts(RobustSettings, nls_onesided),
     "trilateration": MethodParts(ThreeNearestSettings, trilateration),

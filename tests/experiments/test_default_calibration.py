@@ -17,14 +17,14 @@ REQUEST = EvaluationRequest("zero-shot", "laboratory", device="2", labels="publi
 
 def test_every_method_names_its_calibration() -> None:
     assert default_calibration("bayes-grid") == "none"
-    assert default_calibration("nls") == "source-median"
+    assert default_calibration("lls") == "source-median"
     with pytest.raises(UnknownNameError, match="'magic'"):
         default_calibration("magic")
 
 
 @pytest.mark.parametrize(
     ("method", "asked", "used"),
-    [("bayes-grid", None, "none"), ("bayes-grid", "1.0", "1.0"), ("nls-onesided", None, "source-median")],
+    [("bayes-grid", None, "none"), ("bayes-grid", "1.0", "1.0"), ("lls", None, "source-median")],
 )
 def test_records_say_which_calibration_was_used(
     method: str, asked: str | None, used: str, data_root: Path, tmp_path: Path

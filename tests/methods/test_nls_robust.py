@@ -10,6 +10,7 @@ from fploc.intervals import Intervals
 from fploc.methods.nls import nls
 from fploc.methods.nls_onesided import nls_onesided
 from fploc.methods.nls_robust import RobustSettings, nls_robust, read_settings
+from fploc.methods.nls_weighted import nls_weighted
 from fploc.methods.one_shot import OneShotMethod
 from fploc.sites.site import AccessPoint, Site
 from fploc.solvers.losses import CauchyLoss, Loss, OneSidedLoss, SoftL1Loss, SquaredLoss
@@ -72,7 +73,12 @@ def test_ranges_that_grow_vaguer_with_their_length_weigh_less_when_long() -> Non
     assert errors(growing, far).sum() < errors(nls_robust(even), far).sum()
 
 
-@pytest.mark.parametrize("make", [nls, nls_robust, nls_onesided])
+@pytest.mark.parametrize("make", [nls, nls_weighted, nls_robust, nls_onesided])
 def test_their_files_hold_a_loss_of_their_own(make: Callable[[], OneShotMethod]) -> None:
-    losses = {"nls": SquaredLoss, "nls-robust": SoftL1Loss, "nls-onesided": OneSidedLoss}
+    losses = {
+        "nls": SquaredLoss,
+        "nls-weighted": SquaredLoss,
+        "nls-robust": SoftL1Loss,
+        "nls-onesided": OneSidedLoss,
+    }
     assert isinstance(read_settings(make().name).loss, losses[make().name])
