@@ -61,10 +61,11 @@ class FirstPartDataModule(pl.LightningDataModule):
         """Return what networks learn from (``train``) or are validated on (``validate``)."""
         assert self.packed is not None, "setup() comes first"
         recordings = self.packed.recordings()
-        first = [self.protocol.parts(one, self.packed.site)[0] for one in recordings]
+        parts = self.protocol.parts(recordings, self.packed.site)
         index = {"train": 0, "validate": 1}[part]
         shares = [
-            first_share(mask, one, FITTED_SHARE)[index] for mask, one in zip(first, recordings, strict=True)
+            first_share(first, one, FITTED_SHARE)[index]
+            for (first, _), one in zip(parts, recordings, strict=True)
         ]
         return only(recordings, shares)
 

@@ -185,12 +185,11 @@ def split_figure(place: Place) -> Figure | None:
             for use, part in (("trains", "train"), ("validates", "validate"), ("tests", "test"))
         }
     elif place.protocol.tested is Tested.SECOND_PART:
-        masks = [place.protocol.parts(one, target.site) for one in recordings]
-        pairs = list(zip(recordings, masks, strict=True))
+        pairs = list(zip(recordings, place.protocol.parts(recordings, target.site), strict=True))
         parts = {
             "fine-tunes": [_only(one, first) for one, (first, _) in pairs],
             "tests": [_only(one, second) for one, (_, second) in pairs],
-            "left out between": [_only(one, ~(first | second)) for one, (first, second) in pairs],
+            "left out": [_only(one, ~(first | second)) for one, (first, second) in pairs],
         }
     else:
         return None

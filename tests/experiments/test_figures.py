@@ -106,7 +106,7 @@ def test_the_split_shows_what_is_learned_from_and_nothing_where_nothing_is(
     labels = [text.get_text() for text in seen.legends[0].get_texts()]
     assert [label.partition(":")[0] for label in labels] == ["trains", "validates", "tests", "access points"]
     lines = {line.get_label(): np.asarray(line.get_xydata()) for line in tuned.axes[0].lines}
-    parts = [lines[name] for name in ("fine-tunes", "tests", "left out between")]
+    parts = [lines[name] for name in ("fine-tunes", "tests", "left out")]
     known = [len(part[np.isfinite(part).all(axis=1)]) for part in parts]
     labelled = sum(
         int(np.isfinite(one.labels_m("repaired")).all(axis=1).sum()) for one in packed[TARGET].recordings()
