@@ -267,21 +267,25 @@ def protocol_of(name: str, source: str = PUBLIC_SOURCE) -> EvaluationProtocol:
     )
 
 
+def can_pool(sources: Sequence[str]) -> bool:
+    """Return whether one of several sources can validate and another be learned from."""
+    return len(sources) > 1 and any(name in sources for name in VALIDATION_SITES)
+
+
 def validation_site(sources: Sequence[str]) -> str:
     """Return the one of several sources that validates.
 
     Raises:
         FplocError: If none of them may, or none would be left to learn from.
     """
-    validating = [name for name in VALIDATION_SITES if name in sources]
-    if len(sources) < 2 or not validating:
+    if not can_pool(sources):
         raise FplocError(
             "packed sites to learn from together",
             value=", ".join(sources),
             expected=f"at least two, one of them {' or '.join(VALIDATION_SITES)}",
             way_out="build more sites with `fploc data build`",
         )
-    return validating[0]
+    return next(name for name in VALIDATION_SITES if name in sources)
 
 
 def _chosen(packed: PackedSite, keys: Sequence[RecordingKey]) -> list[Recording]:
