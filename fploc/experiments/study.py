@@ -14,6 +14,8 @@ from fploc.evaluation.records import Record
 from fploc.evaluation.studies import Equipment
 from fploc.experiments.scoring import ready_method, scored
 
+LABELS = "repaired"
+
 
 def calibration_study(
     name: str, request: EvaluationRequest, calibrations: Sequence[str], data_root: Path, runs: Path
@@ -36,6 +38,8 @@ def equipment_study(
 ) -> list[Record]:
     """Return the records of a method with fewer access points, and with ones that stand elsewhere.
 
+    They are scored by ``LABELS`` alone.
+
     Args:
         name: Of the method.
         request: What is asked of it.
@@ -48,7 +52,7 @@ def equipment_study(
         FplocError: As ``ready_method``.
     """
     ready = ready_method(name, request, None, data_root, runs)
-    request = replace(request, calibration=ready.offsets.estimator)
+    request = replace(request, calibration=ready.offsets.estimator, labels=LABELS)
     target = read_packed(data_root, request.site)
     recordings = protocol_of(request.protocol, request.source).testing(target, request.device)
     equipment = Equipment(
