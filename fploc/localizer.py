@@ -23,7 +23,7 @@ from fploc.calibration.ranges import plan_ranges
 from fploc.datasets.recordings import PaddedRecordings, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.intervals import Estimate, Intervals, NoFix
-from fploc.methods.interface import Filtering, Method, Refining
+from fploc.methods.interface import Filtering, LinkRanges, Method, Refining, Solving
 from fploc.methods.one_shot import Memoryless
 from fploc.progress import track
 from fploc.sites.site import Site
@@ -240,6 +240,8 @@ def _locate(localizer: Localizer, intervals: Intervals) -> Estimate:
         return _locate_together(localizer, intervals)
     if isinstance(method, Refining):
         return _locate_in_stages(localizer, method, intervals)
+    if isinstance(method, Solving):
+        return _solve_together(localizer, method, intervals)
     return _locate_in_turn(localizer, intervals)
 
 
@@ -263,6 +265,24 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
         )
         refined.append(method.refine(access_points, rows_at(rows, at), coarse_chunk))
     return joined(refined, steps, devices)
+
+
+def _solve_together(localizer: Localizer, method: Solving, intervals: Intervals) -> Estimate:
+    """Filter links through time, solve for all positions together."""
+    steps, devices = intervals.t_s.shape
+    state = method.init(localizer.site, devices)
+    filtered = []
+    for step in range(steps):
+        state, links = method.filter_links(state, rows_at(intervals, step))
+        filtered.append(links)
+    ranges, sigmas, heard = (
+        torch.cat([getattr(one, name) for one in filtered]) for name in ("ranges", "sigmas", "heard")
+    )
+    solved = [
+        method.solve(state.access_points, LinkRanges(ranges[at], sigmas[at], heard[at]))
+        for at in chunks(steps * devices, ROWS_AT_ONCE)
+    ]
+    return joined(solved, steps, devices)
 
 
 def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from fploc.conf import instantiate, read_conf
 from fploc.intervals import Estimate, Intervals
+from fploc.methods.interface import LinkRanges
 from fploc.sites.site import Site
 from fploc.solvers.nonlinear import solve_nonlinear
 
@@ -112,6 +113,15 @@ class RttRss:
 
     def step(self, state: LinkState, intervals: Intervals) -> tuple[LinkState, Estimate]:
         """Filter the range of every access point heard, and solve for the position."""
+        state, links = self.filter_links(state, intervals)
+        return state, self.solve(state.access_points, links)
+
+    def solve(self, access_points: Tensor, links: LinkRanges) -> Estimate:
+        """Return the estimates of rows (B, …)."""
+        return solve_nonlinear(links.ranges, access_points, links.sigmas, links.heard)
+
+    def filter_links(self, state: LinkState, intervals: Intervals) -> tuple[LinkState, LinkRanges]:
+        """Filter the range of every access point heard."""
         heard = intervals.heard & intervals.present[:, None]
         measured, rtt_variance = intervals.ranges.double(), self.settings.rtt_variance_m2
         now = torch.maximum(intervals.t_s.double()[:, None], state.t_s)
@@ -128,7 +138,7 @@ class RttRss:
             t_s=torch.where(heard, now, state.t_s),
             started=state.started | heard,
         )
-        return new, solve_nonlinear(new.ranges, state.access_points, new.variances.sqrt(), heard)
+        return new, LinkRanges(new.ranges, new.variances.sqrt(), heard)
 
     def _updated(
         self, ranges: Tensor, variances: Tensor, measured: Tensor, noise: Tensor
