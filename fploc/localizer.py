@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from fploc.calibration.ranges import plan_ranges
 from fploc.datasets.recordings import PaddedRecordings, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.intervals import Estimate, Intervals, NoFix
-from fploc.methods.interface import Filtering, LinkRanges, Method, Refining, Solving
+from fploc.methods.interface import Filtering, Method, Refining, Solving
 from fploc.methods.one_shot import Memoryless
 from fploc.progress import track
 from fploc.sites.site import Site
@@ -268,18 +268,18 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
 
 
 def _solve_together(localizer: Localizer, method: Solving, intervals: Intervals) -> Estimate:
-    """Filter links through time, solve for all positions together."""
+    """Follow links through time, solve for all positions together."""
     steps, devices = intervals.t_s.shape
     state = method.init(localizer.site, devices)
-    filtered = []
+    followed = []
     for step in range(steps):
-        state, links = method.filter_links(state, rows_at(intervals, step))
-        filtered.append(links)
-    ranges, sigmas, heard = (
-        torch.cat([getattr(one, name) for one in filtered]) for name in ("ranges", "sigmas", "heard")
-    )
+        state, one = method.follow(state, rows_at(intervals, step))
+        followed.append(one)
+    rows = {
+        field.name: torch.cat([getattr(one, field.name) for one in followed]) for field in fields(followed[0])
+    }
     solved = [
-        method.solve(state.access_points, LinkRanges(ranges[at], sigmas[at], heard[at]))
+        method.solve(state.access_points, type(followed[0])(**{name: rows[name][at] for name in rows}))
         for at in chunks(steps * devices, ROWS_AT_ONCE)
     ]
     return joined(solved, steps, devices)

@@ -55,28 +55,14 @@ class Refining(Protocol):
         """Return the estimates of rows (B, …) from their smoothed coarse positions."""
 
 
-@dataclass(frozen=True)
-class LinkRanges:
-    """Ranges to solve for positions, of rows (B, …) or with a leading time axis.
-
-    Args:
-        ranges: Shape (…, A), metres.
-        sigmas: Their standard deviations, shape (…, A), metres.
-        heard: True where there is one, shape (…, A).
-    """
-
-    ranges: Tensor
-    sigmas: Tensor
-    heard: Tensor
-
-
 @runtime_checkable
 class Solving(Protocol):
-    """A method of two parts: a filter of every link through time, and a solver of every row alone.
+    """A method of two parts: what it follows of every link through time, and a solver of every row alone.
 
-    The localizer solves many intervals at once; only the filter goes through time. Having the parts promises
+    The localizer solves many intervals at once; only the first part goes through time. Having the parts promises
     that ``step`` does the same one interval at a time, and that no position enters the state, which names the
-    access points' positions ``access_points``, shape (A, 2), metres.
+    access points' positions ``access_points``, shape (A, 2), metres. ``Rows`` is the method's own, a data class of
+    tensors (B, …).
     """
 
     @property
@@ -86,11 +72,11 @@ class Solving(Protocol):
     def init(self, site: Site, devices: int) -> Any:
         """Return the state of ``devices`` devices before their first interval."""
 
-    def filter_links(self, state: Any, intervals: Intervals) -> tuple[Any, LinkRanges]:
-        """Advance the links of every device that is present by one interval."""
+    def follow(self, state: Any, intervals: Intervals) -> tuple[Any, Any]:
+        """Advance the links of every device that is present by one interval, and return the ``Rows`` to solve."""
 
-    def solve(self, access_points: Tensor, links: LinkRanges) -> Estimate:
-        """Return the estimates of rows (B, …)."""
+    def solve(self, access_points: Tensor, rows: Any) -> Estimate:
+        """Return the estimates of ``Rows``."""
 
 
 @runtime_checkable

@@ -21,7 +21,6 @@ from torch import Tensor
 
 from fploc.conf import instantiate, read_conf
 from fploc.intervals import Estimate, Intervals
-from fploc.methods.interface import LinkRanges
 from fploc.sites.site import Site
 from fploc.solvers.nonlinear import solve_nonlinear
 
@@ -83,6 +82,21 @@ class LinkState:
     started: Tensor
 
 
+@dataclass(frozen=True)
+class LinkRanges:
+    """Filtered ranges to solve for positions.
+
+    Args:
+        ranges: Shape (B, A), metres.
+        sigmas: Their standard deviations, shape (B, A), metres.
+        heard: True where there is one in this interval, shape (B, A).
+    """
+
+    ranges: Tensor
+    sigmas: Tensor
+    heard: Tensor
+
+
 class RttRss:
     """The method. It filters ranges, not positions: the Kalman filter on positions comes after it.
 
@@ -113,14 +127,14 @@ class RttRss:
 
     def step(self, state: LinkState, intervals: Intervals) -> tuple[LinkState, Estimate]:
         """Filter the range of every access point heard, and solve for the position."""
-        state, links = self.filter_links(state, intervals)
-        return state, self.solve(state.access_points, links)
+        state, rows = self.follow(state, intervals)
+        return state, self.solve(state.access_points, rows)
 
-    def solve(self, access_points: Tensor, links: LinkRanges) -> Estimate:
-        """Return the estimates of rows (B, …)."""
-        return solve_nonlinear(links.ranges, access_points, links.sigmas, links.heard)
+    def solve(self, access_points: Tensor, rows: LinkRanges) -> Estimate:
+        """Return the positions that filtered ranges give."""
+        return solve_nonlinear(rows.ranges, access_points, rows.sigmas, rows.heard)
 
-    def filter_links(self, state: LinkState, intervals: Intervals) -> tuple[LinkState, LinkRanges]:
+    def follow(self, state: LinkState, intervals: Intervals) -> tuple[LinkState, LinkRanges]:
         """Filter the range of every access point heard."""
         heard = intervals.heard & intervals.present[:, None]
         measured, rtt_variance = intervals.ranges.double(), self.settings.rtt_variance_m2
