@@ -348,7 +348,11 @@ def _published_widths(records: Sequence[TrackedRecord]) -> str:
                     "ms a fix, in a batch": book.text(replace(slot, filters=UNFILTERED), "ms_per_fix"),
                 }
             )
-    thinned = f", every {book.thin}th interval" if book.thin > 1 else ""
+    thinned = (
+        f", every {book.thin}th interval (a robot {book.thin} times as fast, which the filter cannot follow)"
+        if book.thin > 1
+        else ""
+    )
     return (
         f"Networks of the published widths, trained once on the office, one seed{thinned}; RMSE, repaired labels "
         f"unless said. What the training cost stands in the last table.\n\n{markdown(rows) or _not_run()}"
