@@ -17,3 +17,8 @@ def varied(named: str) -> tuple[str, str]:
     """Return study and value of a condition; two empty strings for one of no study."""
     study, _, value = named.partition(": ")
     return (study, value) if study in STUDIES else ("", "")
+
+
+def is_studied(named: str) -> bool:
+    """Return whether a condition is one of a study."""
+    return varied(named) != ("", "")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from fploc.evaluation.conditions import varied
+from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.paper_numbers import paper_numbers, published
 from fploc.evaluation.records import Record, TrackedRecord
 from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
@@ -83,7 +83,7 @@ def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
             if any(tracked.record.site == site for tracked in records)
         ),
     ]
-    shown = [one for one in records if varied(one.record.condition) == ("", "")]
+    shown = [one for one in records if not is_studied(one.record.condition)]
     for labels in ("repaired", "published"):
         rows = comparison_rows(shown, labels=labels)
         parts.append(f"\n## {labels.capitalize()} labels\n\n{markdown(rows)}")

@@ -21,7 +21,7 @@ from statistics import mean, stdev
 from typing import Any
 
 from fploc.evaluation.chain_stages import STAGES
-from fploc.evaluation.conditions import varied
+from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.generator_match import printed_rows
 from fploc.evaluation.paper_comparison import NOT_RUN, comparison_sections, cost_rows, worse_sentences
 from fploc.evaluation.records import TrackedRecord
@@ -420,7 +420,7 @@ def _pivot(book: RecordBook, like: Slot, cell: Cell) -> Rows:
     conditions = dict.fromkeys(
         one.condition
         for one in book.records
-        if one.protocol == like.protocol and varied(one.condition) == ("", "")
+        if one.protocol == like.protocol and not is_studied(one.condition)
     )
     slots = [slot for condition in conditions for slot in book.slots(replace(like, condition=condition))]
     places = sorted({(slot.site, slot.device) for slot in slots})

@@ -13,7 +13,7 @@ from fploc.datasets.packed import PackedSite
 from fploc.evaluation.certainty import difference_rows, recording_rows, rows_against_best
 from fploc.evaluation.chain_stages import ChainTrack, chain_stages, chain_tracks
 from fploc.evaluation.complexity import complexity_rows
-from fploc.evaluation.conditions import varied
+from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.error_series import ErrorSeries, read_error_series
 from fploc.evaluation.evaluate import EvaluationRequest
 from fploc.evaluation.protocols import protocol_of
@@ -80,7 +80,7 @@ class Report:
         self._write(PAGE, page(records, preset=self.preset.name))
         facts = self._facts(places, costs, [json.loads(file.read_text()) for file in matches])
         self._write(FACTS, json.dumps(facts, indent=1) + "\n")
-        studied = [one for one in records if varied(one.record.condition) != ("", "")]
+        studied = [one for one in records if is_studied(one.record.condition)]
         write_figures(places, self._plain(records), studied, self.folder / FIGURES)
 
     def _write(self, name: str, text: str) -> None:

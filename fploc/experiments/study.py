@@ -8,13 +8,11 @@ from pathlib import Path
 
 from fploc.datasets.packed import read_packed
 from fploc.evaluation.conditions import CALIBRATION, condition
-from fploc.evaluation.evaluate import EvaluationRequest
+from fploc.evaluation.evaluate import REPAIRED, EvaluationRequest
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import Record
 from fploc.evaluation.studies import Equipment
 from fploc.experiments.scoring import ready_method, scored
-
-LABELS = "repaired"
 
 
 def calibration_study(
@@ -38,7 +36,7 @@ def equipment_study(
 ) -> list[Record]:
     """Return the records of a method with fewer access points, and with ones that stand elsewhere.
 
-    They are scored by ``LABELS`` alone.
+    They are scored by repaired labels alone.
 
     Args:
         name: Of the method.
@@ -52,7 +50,7 @@ def equipment_study(
         FplocError: As ``ready_method``.
     """
     ready = ready_method(name, request, None, data_root, runs)
-    request = replace(request, calibration=ready.offsets.estimator, labels=LABELS)
+    request = replace(request, calibration=ready.offsets.estimator, labels=REPAIRED)
     target = read_packed(data_root, request.site)
     recordings = protocol_of(request.protocol, request.source).testing(target, request.device)
     equipment = Equipment(
