@@ -8,14 +8,14 @@ Facts are what records cannot hold, as plain JSON values; every key may be missi
 - ``differences``, ``against_best`` and ``recordings``: rows of ``fploc.evaluation.certainty`` with ``protocol``
   and ``site``;
 - ``timings``: rows of ``fploc bench``;
-- ``training_cost``: rows of ``stage``, ``seconds`` and, where known, ``links`` and ``preset``;
+- ``training_cost``: rows of ``stage``, ``seconds`` and, where known, ``links``, ``preset`` and ``commit``;
 - ``virtual_rates``: links per second by name of the networks;
 - ``ablations``: why each was made, by its name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from statistics import mean, stdev
 from typing import Any
@@ -74,7 +74,7 @@ def results_page(records: Sequence[TrackedRecord], facts: Facts, *, preset: str 
         "Relative figures": _relative(book),
     }
     sections = {
-        "How to read this page": MADE_UP_NOTICE if made_up else _how_to_read(book, preset),
+        "How to read this page": MADE_UP_NOTICE if made_up else _how_to_read(book, facts, preset),
         **({} if made_up else beside_paper),
         "How sure the differences are": _certainty(facts),
         "All methods": _comparison(book),
@@ -92,12 +92,14 @@ def results_page(records: Sequence[TrackedRecord], facts: Facts, *, preset: str 
     return f"# Results\n{body}"
 
 
-def _how_to_read(book: RecordBook, preset: str) -> str:
-    revisions = ", ".join(sorted({one.commit or "unknown" for one in book.records})) or UNKNOWN
+def _how_to_read(book: RecordBook, facts: Facts, preset: str) -> str:
+    scored = _listed(one.commit for one in book.records)
+    trained = _listed(row.get("commit") for row in facts.get("training_cost", ()))
     seeds = sorted({one.seed for one in book.records})
     floor = ", ".join(f"`{site}`" for site in SHARED_FLOOR)
     return f"""Generated from `results.jsonl` and `results-facts.json`, written by `fploc reproduce --preset {preset}`
-(revision {revisions}; seeds {", ".join(map(str, seeds)) or UNKNOWN}).
+(seeds {", ".join(map(str, seeds)) or UNKNOWN}).
+Trained at revision {trained}; scored at revision {scored}.
 
 - **Development sites.** Methods were chosen looking at all sites on this page: none of them is a clean test.
 - **Labels.** Repaired labels used RTT in part and favour methods that trust it; published ones are wrong by metres
@@ -488,6 +490,10 @@ def _plain(value: float | None) -> str:
 
 def _thousands(value: float | None) -> str:
     return UNKNOWN if value is None else f"{value:,.0f}"
+
+
+def _listed(commits: Iterable[str | None]) -> str:
+    return ", ".join(sorted({commit or UNKNOWN for commit in commits})) or UNKNOWN
 
 
 def _not_run() -> str:

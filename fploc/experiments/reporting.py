@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from fploc.experiments.figures import LABELS, Place, write_figures
 from fploc.experiments.plan import SEEN, SEES_THE_PLAN, ZERO_SHOT, Scoring, is_headline
 from fploc.experiments.preset import NETWORKS, Preset, read_ablation
 from fploc.experiments.scoring import ready_method
+from fploc.experiments.stages import Cost
 from fploc.files import whole
 from fploc.filters.kalman import KalmanSettings
 from fploc.methods.gnn_fpdnn import GNNFPDNN
@@ -65,11 +66,11 @@ class Report:
         self.runs = runs
         self.folder = folder
 
-    def write(self, costs: Mapping[str, float], matches: Sequence[Path]) -> None:
+    def write(self, costs: Mapping[str, Cost], matches: Sequence[Path]) -> None:
         """Write records, page, facts and figures.
 
         Args:
-            costs: Seconds of each training, by the name of its stage.
+            costs: What each training took, by the name of its stage.
             matches: Files with the match of generated with measured data, one for each site.
         """
         records = [
@@ -129,7 +130,7 @@ class Report:
         return ready.method, chain_tracks(ready.method, target.site, thinned, ready.offsets, settings)
 
     def _facts(
-        self, places: Sequence[Place], costs: Mapping[str, float], matches: Sequence[dict[str, Any]]
+        self, places: Sequence[Place], costs: Mapping[str, Cost], matches: Sequence[dict[str, Any]]
     ) -> dict[str, Any]:
         """Return what the results page says beside the records, as plain JSON values."""
         specs = {f"{name}-paper": read_conf("model", f"{name}-paper") for name in NETWORKS}
@@ -154,7 +155,7 @@ class Report:
             "differences": _by_place(places, lambda errors: difference_rows(errors, base=SEES_THE_PLAN)),
             "against_best": _by_place(places, rows_against_best),
             "recordings": _by_place(places, recording_rows),
-            "training_cost": [{"stage": name, "seconds": seconds} for name, seconds in costs.items()],
+            "training_cost": [{"stage": name} | asdict(cost) for name, cost in costs.items()],
             "ablations": {name: read_ablation(name).reason for name in self.preset.ablations},
         }
 

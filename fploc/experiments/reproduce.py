@@ -328,7 +328,7 @@ class Reproduction:
             self.folder,
         )
         report.write(
-            {name: book.seconds(name) for name in trained},
+            {name: book.cost(name) for name in trained},
             [self._match_file(site) for site in self._synthesized()],
         )
 

@@ -20,6 +20,7 @@ from pathlib import Path
 from types import FrameType
 
 from fploc.errors import FplocError
+from fploc.evaluation.revision import running_commit
 from fploc.files import whole
 
 PATIENCE_S = 10.0
@@ -53,6 +54,19 @@ class Stage:
         return hashlib.sha256(json.dumps(list(self.inputs)).encode()).hexdigest()
 
 
+@dataclass(frozen=True)
+class Cost:
+    """What a finished stage took.
+
+    Args:
+        seconds: From its start to its end.
+        commit: Git revision of the code that ran it; None outside a checkout.
+    """
+
+    seconds: float
+    commit: str | None
+
+
 class StageBook:
     """Remembers finished stages in a folder, one file each.
 
@@ -78,9 +92,10 @@ class StageBook:
                 left[stage.name] = stage
         return list(left.values())
 
-    def seconds(self, name: str) -> float:
-        """Return how long the finished stage ``name`` took."""
-        return float(json.loads((self.folder / f"{name}.json").read_text())["seconds"])
+    def cost(self, name: str) -> Cost:
+        """Return what the finished stage ``name`` took, and which revision of the code ran it."""
+        noted = json.loads((self.folder / f"{name}.json").read_text())
+        return Cost(float(noted["seconds"]), noted.get("commit"))
 
     def run(self, stages: Sequence[Stage]) -> None:
         """Run those of ``stages`` that are not done, in order, and say on stderr what happens."""
@@ -156,7 +171,8 @@ class StageBook:
         file = self._file(stage)
         file.parent.mkdir(parents=True, exist_ok=True)
         with whole(file) as part:
-            part.write_text(json.dumps({"key": stage.key, "seconds": round(seconds, 2)}) + "\n")
+            noted = {"key": stage.key, "seconds": round(seconds, 2), "commit": running_commit()}
+            part.write_text(json.dumps(noted) + "\n")
 
     def _file(self, stage: Stage) -> Path:
         return self.folder / f"{stage.name}.json"

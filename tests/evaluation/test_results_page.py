@@ -108,6 +108,12 @@ def test_all_methods_stand_by_places_and_thinned_tables_apart(made: MakeRecord) 
     assert "zero-shot: with KF, published labels, RMSE" not in tables
 
 
+def test_revisions_of_trainings_and_of_scorings_are_told_apart(made: MakeRecord) -> None:
+    costs = [{"stage": name, "seconds": 1.0, "commit": commit} for name, commit in (("a", "b1"), ("b", "a2"))]
+    text = results_page([made()], {"training_cost": [*costs, {"stage": "c", "seconds": 1.0}]})
+    assert "Trained at revision a2, b1, –; scored at revision abc." in text
+
+
 def test_published_widths_stand_apart(made: MakeRecord) -> None:
     page = results_page([made(3.0, preset="published", thin=10), made(2.0)], {})
     text = section(page, "Published widths")

@@ -17,6 +17,7 @@ import pytest
 
 import fploc.experiments.stages
 from fploc.errors import UnknownNameError
+from fploc.evaluation.revision import running_commit
 from fploc.experiments.stages import PATIENCE_S, Stage, StageBook
 
 
@@ -127,7 +128,8 @@ def test_two_processes_give_what_one_gives_and_keep_the_order(
     stages = work.chain(together)
     assert set(began) == set(ended) == {one.name for one in stages}
     assert all(ended[before] < began[one.name] for one in stages for before in one.after)
-    assert all(book.seconds(one.name) >= 0.0 for one in stages)
+    assert all(book.cost(one.name).seconds >= 0.0 for one in stages)
+    assert {book.cost(one.name).commit for one in stages} == {running_commit()}
     assert book.left(stages) == []
 
 
