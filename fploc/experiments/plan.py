@@ -183,10 +183,11 @@ def scorings(preset: Preset, protocols: Mapping[str, Sequence[str]]) -> Iterator
                     for thin in preset.thins if protocol == ZERO_SHOT else preset.thins[:1]:
                         yield Scoring(method, protocol, site, seed, thin=thin)
     yield from _studies(preset, protocols.get(ZERO_SHOT, ()))
-    for site in [one for one in preset.ablation_targets if one in protocols.get(ZERO_SHOT, ())]:
+    for site in protocols.get(ZERO_SHOT, ()):
         for seed in preset.seeds:
             for plan in (one for one in preset.plans if one != site):
                 yield Scoring(SEES_THE_PLAN, ZERO_SHOT, site, seed, plan=plan, thin=preset.thins[0])
+    for site in [one for one in preset.ablation_targets if one in protocols.get(ZERO_SHOT, ())]:
         for seed in preset.ablation_seeds:
             for ablation in preset.ablations:
                 yield Scoring(SEES_THE_PLAN, ZERO_SHOT, site, seed, ablation, thin=preset.thins[0])

@@ -62,7 +62,7 @@ class Preset:
         validation_thin: Every so many-th interval of the source's validation recordings validates.
         thins: Every so many-th interval is evaluated; the first is the headline, the others are zero-shot.
         synthesized: Sites that the generator's maps and its match with measurements are made of.
-        plans: Plans that ``gnn-fpdnn`` is scored with at ``ablation_targets`` beside the real one, zero-shot.
+        plans: Plans that ``gnn-fpdnn`` is scored with beside the real one, zero-shot.
         ablations: Names in conf/ablation/, each trained and scored zero-shot at ``ablation_targets``.
         ablation_targets: Sites of the ablations.
         ablation_seeds: Of ``seeds``, those that ablations are trained with.

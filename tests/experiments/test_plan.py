@@ -116,7 +116,7 @@ def test_plans_and_ablations_are_scored_zero_shot_with_the_method_that_sees_the_
     special = [one for one in scored if one.ablation or one.plan != "real"]
     assert {(one.protocol, one.method, one.thin) for one in special} == {("zero-shot", "gnn-fpdnn", 1)}
     plans = {(one.site, one.plan) for one in special if not one.ablation}
-    sites = preset.ablation_targets
+    sites = preset.protocols["zero-shot"]
     assert plans == {(site, plan) for site in sites for plan in preset.plans if plan != site}
     ablated = {(one.site, one.ablation, one.seed) for one in special if one.ablation}
     assert ablated == {
