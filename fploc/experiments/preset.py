@@ -215,6 +215,14 @@ def read_preset(name: str) -> Preset:
                 expected=", ".join(expected),
                 way_out="name each of these once",
             )
+    if preset.streams == "virtual":
+        raise BadFileError(
+            f"conf/preset/{own}.yaml",
+            "streams",
+            value=preset.streams,
+            expected="both or measured, since most protocols have measured intervals alone",
+            way_out="train on virtual intervals alone by the ablation virtual-only",
+        )
     return preset.variant(ablation)
 
 

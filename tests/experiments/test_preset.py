@@ -207,3 +207,12 @@ def test_unknown_presets_and_ablations_are_told_with_the_known_ones(read: Callab
         read("tiny")
     with pytest.raises(UnknownNameError, match=r"'magic', expected one of .*bare-distance"):
         read("full--magic")
+
+
+def test_virtual_intervals_alone_are_no_preset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "preset").mkdir()
+    values = read_conf("preset", "smoke") | {"streams": "virtual"}
+    (tmp_path / "preset" / "smoke.yaml").write_text(yaml.safe_dump(values), encoding="utf-8")
+    monkeypatch.setattr(fploc.conf, "conf_folder", lambda: tmp_path)
+    with pytest.raises(BadFileError, match=r"streams.*virtual.*virtual-only"):
+        read_preset("smoke")
