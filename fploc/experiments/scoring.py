@@ -40,7 +40,7 @@ from fploc.floorplan.raster import PlanRaster
 from fploc.localizer import Track
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
-from fploc.methods.interface import Method
+from fploc.methods.interface import Method, ReadsPlan
 from fploc.methods.one_shot import RangeSolver
 from fploc.methods.registry import (
     GEOMETRIC_METHODS,
@@ -111,7 +111,11 @@ def ready_method(
     if name not in LEARNED_METHODS:
         own = default_calibration(name) if calibration is None else calibration
         offsets = source_offsets(replace(request, calibration=own), data_root)
-        return ReadyMethod(_untrained_method(name, request, offsets, data_root), offsets, artifact=None)
+        method = _untrained_method(name, request, offsets, data_root)
+        if isinstance(method, ReadsPlan):
+            target = read_packed(data_root, request.site)
+            method = method.for_plan(chosen_plan(request.plan, target, data_root))
+        return ReadyMethod(method, offsets, artifact=None)
     protocol = protocol_of(request.protocol, request.source)
     protocol.check_target(request.site)
     target = read_packed(data_root, request.site)

@@ -9,6 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 from torch import Tensor
 
 from fploc.filters.kalman import BatchedFilter
+from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals
 from fploc.sites.site import Site
 
@@ -64,6 +65,14 @@ class Filtering(Protocol):
 
 
 @runtime_checkable
+class ReadsPlan(Protocol):
+    """A method that uses the plan of its target where there is one."""
+
+    def for_plan(self, plan: FloorPlan) -> Method:
+        """Return the method for a site with this plan."""
+
+
+@runtime_checkable
 class Calibrated(Protocol):
     """A method whose parameters belong to one calibration, which it runs with unless another is asked for."""
 
@@ -80,11 +89,13 @@ class Examples:
         site: Where they were made.
         intervals: Calibrated, time first: shapes (T, B, …).
         labels: Ground truth, shape (T, B, 2), metres, site frame; NaN where there is none.
+        plan: Of the site; None where there is none.
     """
 
     site: Site
     intervals: Intervals
     labels: Tensor
+    plan: FloorPlan | None = None
 
     def at(self, step: int) -> Intervals:
         """Return one interval of every recording."""
