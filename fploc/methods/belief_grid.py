@@ -6,7 +6,7 @@ Axes: B devices, A access points, X and Y cells, C = X · Y.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -37,37 +37,41 @@ class BeliefGrid:
     plan_log: Tensor
 
     @classmethod
-    def over(
-        cls, site: Site, plan: FloorPlan | None, *, cell_m: float, margin_m: float, blocked: float
-    ) -> BeliefGrid:
-        """Return the grid of a site.
+    def over(cls, site: Site, *, cell_m: float, margin_m: float) -> BeliefGrid:
+        """Return the grid of a site, without a plan.
 
         Args:
             site: The site.
-            plan: Its plan; None where there is none.
             cell_m: Side of a cell, metres.
             margin_m: Around the access points' bounding box, metres.
-            blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
-
-        Raises:
-            FplocError: If the plan has no free space near any access point.
         """
         access_points = torch.from_numpy(site.positions_m)
         xs_m, ys_m = (_centres(access_points[:, axis], cell_m, margin_m) for axis in (0, 1))
         cells = torch.cartesian_prod(xs_m, ys_m)
-        plan_log = torch.zeros(len(cells), dtype=torch.float64)
-        if plan is not None:
-            shares = walkable_shares(plan, site.positions_m, cells.numpy(), cell_m)
-            # A cell that a wall cuts in half is as good as a free one: its free half is.
-            plan_log = (torch.from_numpy(shares).mul(2).clamp(max=1.0) + blocked).log() - math.log1p(blocked)
         return cls(
             cell_m=cell_m,
             columns=len(xs_m),
             rows=len(ys_m),
             cells_m=cells,
             distances_m=torch.cdist(access_points, cells),
-            plan_log=plan_log,
+            plan_log=torch.zeros(len(cells), dtype=torch.float64),
         )
+
+    def weighted_by(self, plan: FloorPlan, site: Site, *, blocked: float) -> BeliefGrid:
+        """Return the same cells, weighted by what a plan says of each.
+
+        Args:
+            plan: The plan.
+            site: Whose access points tell indoors from outdoors.
+            blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
+
+        Raises:
+            FplocError: If the plan has no free space near any access point.
+        """
+        shares = walkable_shares(plan, site.positions_m, self.cells_m.numpy(), self.cell_m)
+        # A cell that a wall cuts in half is as good as a free one: its free half is.
+        likely = torch.from_numpy(shares).mul(2).clamp(max=1.0) + blocked
+        return replace(self, plan_log=(likely / (1 + blocked)).log())
 
     def uniform(self, devices: int) -> Tensor:
         """Return beliefs that favour no cell, shape (B, X, Y)."""

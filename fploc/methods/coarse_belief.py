@@ -1,7 +1,7 @@
 """A belief that knows of ranges only that walls lengthen them, and what it expects of every range.
 
-It needs no training and so cannot carry a source's faults to another site. What it says of a link, given all
-other links, is the best that can be known of that link's error before anything is learned.
+It needs neither training nor a plan, and so carries no fault of a source or of a drawing to the features. What it
+says of a link, given all other links, is the best that can be known of its error before anything is learned.
 
 Axes: B devices, A access points, C cells, Q errors of a table.
 """
@@ -17,6 +17,7 @@ from fploc.intervals import Intervals
 from fploc.methods.bayes_grid import blurred
 from fploc.methods.belief_grid import BeliefGrid, posterior
 from fploc.methods.link_evidence import LinkEvidence, RangeExpectation
+from fploc.sites.site import Site
 
 LOWEST_ERROR_M, ERROR_STEP_M, ERRORS = -12.0, 0.2, 260
 """Errors are looked up in steps; those beyond the ends of the table, up to 40 m, count as its ends."""
@@ -32,7 +33,6 @@ class CoarseSettings:
     Args:
         cell_m: Side of a cell, metres.
         margin_m: Of the grid around the access points' bounding box, metres.
-        blocked: How likely a cell is that nobody can stand on, beside a free one.
         speed_prior_mps: v: a walker's speed.
         straight_s: For so long a walker keeps direction: the belief spreads by v² · straight_s · dt per axis.
         short_m: Decay of the density of errors below 0, metres.
@@ -43,7 +43,6 @@ class CoarseSettings:
 
     cell_m: float
     margin_m: float
-    blocked: float
     speed_prior_mps: float
     straight_s: float
     short_m: float
@@ -119,6 +118,10 @@ class CoarseBelief:
         decays = torch.maximum(errors_m / settings.long_m, -errors_m / settings.short_m)
         self._likelihoods = torch.exp(-decays) + settings.floor
 
+    def grid(self, site: Site) -> BeliefGrid:
+        """Return the cells of a site."""
+        return BeliefGrid.over(site, cell_m=self.settings.cell_m, margin_m=self.settings.margin_m)
+
     def step(self, state: CoarseState, intervals: Intervals) -> tuple[CoarseState, Heard]:
         """Advance every device that is present by one interval."""
         heard = intervals.heard & intervals.present[:, None]
@@ -134,11 +137,10 @@ class CoarseBelief:
         likelihoods = torch.where(heard[..., None], self._likelihoods[bins], 1.0)
         coarse_log = likelihoods.log().sum(1)
         moved = blurred(state.beliefs, spreads)
-        told = state.grid.plan_log + coarse_log
-        expected = self._expected(state.grid, posterior(moved, told), likelihoods)
+        expected = self._expected(state.grid, posterior(moved, coarse_log), likelihoods)
         links, features = state.links.after(intervals, dt_s, expected)
         powers = tempered(since_s, self.settings.coarse_correlation_s)
-        updated = posterior(moved, torch.where(hears, powers, 0.0)[:, None] * told)
+        updated = posterior(moved, torch.where(hears, powers, 0.0)[:, None] * coarse_log)
         new = CoarseState(
             grid=state.grid,
             beliefs=torch.where(intervals.present[:, None, None], updated, state.beliefs),

@@ -89,13 +89,11 @@ class Examples:
         site: Where they were made.
         intervals: Calibrated, time first: shapes (T, B, …).
         labels: Ground truth, shape (T, B, 2), metres, site frame; NaN where there is none.
-        plan: Of the site; None where there is none.
     """
 
     site: Site
     intervals: Intervals
     labels: Tensor
-    plan: FloorPlan | None = None
 
     def at(self, step: int) -> Intervals:
         """Return one interval of every recording."""

@@ -4,14 +4,14 @@ The paper's chain passes one coarse point, then one corrected number per access 
 but distributions. At every interval
 
 1. a coarse belief (``fploc.methods.coarse_belief``) says what it expects of every range by all the others;
-2. a small network (``fploc.models.range_error``) makes of this, and of the link's recent past, a distribution of
-   the range's error: bias, a spread on either side, probability of an outlier;
+2. two small networks (``fploc.models.range_error``) make of this, and of the link's recent past, distributions of
+   the range's error: bias, a spread on either side, probability of an outlier. One sees all of it, one no signals;
 3. the belief is moved by a random walk, and multiplied by these and by the coarse likelihood, pooled as
    Π p_learned^share · p_coarse^(1 − share): what was learned elsewhere corrects, it does not rule.
 
 Likelihoods are tempered, since errors of a place repeat as long as one is there. The plan weighs cells: nobody
-stands in a wall. The network learns from recordings of source sites in which access points fall silent and offsets
-drift by the minute, so that it does not learn the source's geometry by heart.
+stands in a wall. The networks learn from recordings of source sites in which access points fall silent and offsets
+drift by the minute, so that they do not learn the source's geometry by heart.
 
 Axes: B devices, A access points, C cells.
 """
@@ -29,7 +29,7 @@ from fploc.errors import FplocError
 from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.methods.bayes_grid import blurred
-from fploc.methods.belief_grid import BeliefGrid, posterior
+from fploc.methods.belief_grid import posterior
 from fploc.methods.coarse_belief import (
     CoarseBelief,
     CoarseSettings,
@@ -39,6 +39,7 @@ from fploc.methods.coarse_belief import (
     tempered,
 )
 from fploc.methods.interface import Examples
+from fploc.methods.link_evidence import VIEWS
 from fploc.methods.range_lessons import LessonSettings, range_lessons, taught
 from fploc.models.range_error import RangeErrorNetwork, log_density
 from fploc.sites.site import Site
@@ -53,6 +54,7 @@ class LearnedGridSettings:
     Args:
         coarse: Of the grid, of the walk and of the coarse belief.
         lessons: Of the network and its training.
+        blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
         learned_share: Power of the learned likelihood beside the coarse one, 0 to 1.
         correlation_s: For so long errors of ranges are taken for one error.
         survey_m: Standard deviation per axis of what no belief can know, metres: the frame of access points
@@ -62,6 +64,7 @@ class LearnedGridSettings:
 
     coarse: CoarseSettings
     lessons: LessonSettings
+    blocked: float
     learned_share: float
     correlation_s: float
     survey_m: float
@@ -107,7 +110,8 @@ class LearnedGrid:
                 expected="recordings with ground truth",
                 way_out="choose another method",
             )
-        return LearnedGridFilter(self.settings, taught(known, self.settings.lessons))
+        networks = [taught(known, view, self.settings.lessons) for view in VIEWS]
+        return LearnedGridFilter(self.settings, networks)
 
 
 @dataclass(frozen=True)
@@ -126,17 +130,20 @@ class LearnedGridFilter:
 
     Args:
         settings: Of the method.
-        network: Says how wrong a range may be.
+        networks: Each says how wrong a range may be; their likelihoods are pooled evenly.
         plan: Of the target; None where it has none.
     """
 
     name = NAME
 
     def __init__(
-        self, settings: LearnedGridSettings, network: RangeErrorNetwork, plan: FloorPlan | None = None
+        self,
+        settings: LearnedGridSettings,
+        networks: Sequence[RangeErrorNetwork],
+        plan: FloorPlan | None = None,
     ) -> None:
         self.settings = settings
-        self._network = network
+        self.networks = tuple(networks)
         self._plan = plan
         self._coarse = CoarseBelief(settings.coarse)
         self._errors_m = table_errors_m()
@@ -144,15 +151,17 @@ class LearnedGridFilter:
     def for_speed(self, speed_prior_mps: float) -> LearnedGridFilter:
         """Return the method for people who walk at about ``speed_prior_mps``."""
         coarse = replace(self.settings.coarse, speed_prior_mps=speed_prior_mps)
-        return LearnedGridFilter(replace(self.settings, coarse=coarse), self._network, self._plan)
+        return LearnedGridFilter(replace(self.settings, coarse=coarse), self.networks, self._plan)
 
     def for_plan(self, plan: FloorPlan) -> LearnedGridFilter:
         """Return the method for a site with this plan."""
-        return LearnedGridFilter(self.settings, self._network, plan)
+        return LearnedGridFilter(self.settings, self.networks, plan)
 
     def init(self, site: Site, devices: int) -> LearnedGridState:
         """Return uniform beliefs of ``devices`` devices."""
-        grid = grid_of(site, self._plan, self.settings.coarse)
+        grid = self._coarse.grid(site)
+        if self._plan is not None:
+            grid = grid.weighted_by(self._plan, site, blocked=self.settings.blocked)
         return LearnedGridState(CoarseState.before(grid, devices), grid.uniform(devices))
 
     @torch.no_grad()
@@ -173,15 +182,8 @@ class LearnedGridFilter:
     def _log_likelihoods(self, heard: Heard) -> Tensor:
         """Return the pooled log-likelihood of the interval, shape (B, C)."""
         links = heard.features.flatten(0, 1)
-        tables = log_density(self._network(links), self._errors_m)
-        tables = tables.reshape(*heard.features.shape[:2], len(self._errors_m))
+        views = [log_density(network(links), self._errors_m) for network in self.networks]
+        tables = torch.stack(views).mean(0).reshape(*heard.features.shape[:2], len(self._errors_m))
         learned = torch.where(heard.heard[..., None], tables.gather(-1, heard.error_bins), 0.0).sum(1)
         share = self.settings.learned_share
         return share * learned + (1 - share) * heard.coarse_log
-
-
-def grid_of(site: Site, plan: FloorPlan | None, settings: CoarseSettings) -> BeliefGrid:
-    """Return the cells of a site."""
-    return BeliefGrid.over(
-        site, plan, cell_m=settings.cell_m, margin_m=settings.margin_m, blocked=settings.blocked
-    )

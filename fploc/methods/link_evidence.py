@@ -38,8 +38,8 @@ FEATURES = (
     "loss rate",
 )
 """Names of the axis F."""
-OFFSET_FEATURES = (0, 1, 2, 4)
-"""Features that grow by an offset of the range as the range does."""
+VIEWS = (tuple(range(len(FEATURES))), (*range(8), len(FEATURES) - 1))
+"""Features that a network sees: all of them, or all but what phones say of their signals."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from fploc.intervals import FARTHEST_RANGE_M, Intervals
-from fploc.methods.belief_grid import BeliefGrid
 from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples
 from fploc.methods.link_evidence import FEATURES
@@ -71,17 +70,10 @@ class Lessons:
 @torch.no_grad()
 def range_lessons(examples: Examples, coarse: CoarseBelief, settings: LessonSettings) -> Lessons:
     """Return the labelled readings of a site's recordings and of copies of them, with their links' past."""
+    examples = _in_order_of_names(examples)
     intervals, labels = copied(examples, settings)
     steps, rows, access_points = intervals.ranges.shape
-    chosen = coarse.settings
-    grid = BeliefGrid.over(
-        examples.site,
-        examples.plan,
-        cell_m=chosen.cell_m,
-        margin_m=chosen.margin_m,
-        blocked=chosen.blocked,
-    )
-    state = CoarseState.before(grid, rows)
+    state = CoarseState.before(coarse.grid(examples.site), rows)
     features = torch.zeros(steps, rows, access_points, len(FEATURES), dtype=torch.float64)
     thinned = replace(examples, intervals=intervals, labels=labels)
     for step in range(steps):
@@ -133,8 +125,31 @@ def copied(examples: Examples, settings: LessonSettings) -> tuple[Intervals, Ten
     return intervals, repeated(examples.labels)
 
 
-def taught(sites: Sequence[Lessons], settings: LessonSettings) -> RangeErrorNetwork:
-    """Return a network trained on the readings of sites, every site with the same weight."""
+def _in_order_of_names(examples: Examples) -> Examples:
+    """Return the same with access points in the order of their MACs: what is drawn does not hang on theirs."""
+    site, intervals = examples.site, examples.intervals
+    order = sorted(range(len(site.macs)), key=site.macs.__getitem__)
+    return replace(
+        examples,
+        site=replace(site, access_points=tuple(site.access_points[index] for index in order)),
+        intervals=replace(
+            intervals,
+            ranges=intervals.ranges[..., order],
+            stds=intervals.stds[..., order],
+            rss=intervals.rss[..., order],
+            heard=intervals.heard[..., order],
+        ),
+    )
+
+
+def taught(sites: Sequence[Lessons], view: Sequence[int], settings: LessonSettings) -> RangeErrorNetwork:
+    """Return a network trained on the readings of sites, every site with the same weight.
+
+    Args:
+        sites: At least one, each with readings.
+        view: Features that it looks at.
+        settings: Of the training.
+    """
     sizes = [len(one.errors_m) for one in sites]
     weights = torch.cat([torch.full((size,), sum(sizes) / (len(sizes) * size)) for size in sizes]).double()
     features = torch.cat([one.features for one in sites])
@@ -142,7 +157,9 @@ def taught(sites: Sequence[Lessons], settings: LessonSettings) -> RangeErrorNetw
     generator = torch.Generator().manual_seed(settings.seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        network = RangeErrorNetwork(features.mean(0), features.std(0), settings.hidden, settings.dropout)
+        network = RangeErrorNetwork(
+            view, features.mean(0), features.std(0), settings.hidden, settings.dropout
+        )
         network = network.double().train()
         batch = min(BATCH, len(errors_m))
         steps = max(settings.fewest_steps, settings.epochs * len(errors_m) // batch)

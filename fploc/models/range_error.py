@@ -6,6 +6,7 @@ Axes: n links, F features, Q errors.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -31,21 +32,26 @@ class RangeErrorNetwork(nn.Module):
     a broad floor of outliers; the four parameters are mode (bias), both scales and the outliers' probability.
 
     Args:
+        view: Features that it looks at, as indices of the axis F.
         means: Of the features, shape (F,), to centre them.
         deviations: Of the features, shape (F,), to scale them.
         hidden: Width of both hidden layers.
         dropout: Share of the first layer's outputs dropped in training.
     """
 
+    view: Tensor
     means: Tensor
     deviations: Tensor
 
-    def __init__(self, means: Tensor, deviations: Tensor, hidden: int, dropout: float) -> None:
+    def __init__(
+        self, view: Sequence[int], means: Tensor, deviations: Tensor, hidden: int, dropout: float
+    ) -> None:
         super().__init__()
-        self.register_buffer("means", means)
-        self.register_buffer("deviations", deviations.clamp(min=SMALLEST_DEVIATION))
+        self.register_buffer("view", torch.tensor(view))
+        self.register_buffer("means", means[list(view)])
+        self.register_buffer("deviations", deviations[list(view)].clamp(min=SMALLEST_DEVIATION))
         self.layers = nn.Sequential(
-            nn.Linear(len(means), hidden),
+            nn.Linear(len(view), hidden),
             nn.SiLU(),
             nn.Dropout(dropout),
             nn.Linear(hidden, hidden),
@@ -55,7 +61,7 @@ class RangeErrorNetwork(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Return raw parameters, shape (n, 4), of links with ``features``, shape (n, F)."""
-        scaled = (features - self.means) / self.deviations
+        scaled = (features[:, self.view] - self.means) / self.deviations
         raw: Tensor = self.layers(scaled.clamp(-LARGEST_FEATURE, LARGEST_FEATURE))
         return raw
 
