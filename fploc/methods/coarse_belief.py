@@ -21,6 +21,8 @@ from fploc.sites.site import Site
 
 LOWEST_ERROR_M, ERROR_STEP_M, ERRORS = -12.0, 0.2, 260
 """Errors are looked up in steps; those beyond the ends of the table, up to 40 m, count as its ends."""
+SILENT = ERRORS
+"""Row behind the table: of access points that were not heard."""
 LONGEST_GAP_S = 60.0
 """A walker who was away for so long may be anywhere."""
 SMALLEST_SPREAD_M = 0.01
@@ -85,7 +87,8 @@ class Heard:
 
     Args:
         features: Of every link, shape (B, A, F).
-        error_bins: Row of the tables of errors that each cell would mean, shape (B, A, C).
+        error_bins: Row of the tables of errors that each cell would mean, shape (B, A, C), int32; ``SILENT`` where
+            the device is absent or did not hear the access point.
         heard: True where a device that is present heard an access point, shape (B, A).
         spreads: Of the walk since the interval before, standard deviation per axis, shape (B,), cells.
         since_s: Time since something was heard, shape (B,), seconds; infinite before the first time.
@@ -116,7 +119,8 @@ class CoarseBelief:
         self.settings = settings
         errors_m = table_errors_m()
         decays = torch.maximum(errors_m / settings.long_m, -errors_m / settings.short_m)
-        self._likelihoods = torch.exp(-decays) + settings.floor
+        explained = torch.exp(-decays) + settings.floor
+        self._likelihoods = torch.cat([explained, torch.ones(1, dtype=torch.float64)])
 
     def grid(self, site: Site) -> BeliefGrid:
         """Return the cells of a site."""
@@ -133,8 +137,8 @@ class CoarseBelief:
         walked = self.settings.straight_s * dt_s.clamp(max=LONGEST_GAP_S)
         spreads = self.settings.speed_prior_mps * walked.sqrt() / self.settings.cell_m
 
-        bins = self._error_bins(state.grid, intervals)
-        likelihoods = torch.where(heard[..., None], self._likelihoods[bins], 1.0)
+        bins = _error_bins(state.grid, intervals, heard)
+        likelihoods = self._likelihoods.index_select(0, bins.flatten()).view(bins.shape)
         coarse_log = likelihoods.log().sum(1)
         moved = blurred(state.beliefs, spreads)
         expected = self._expected(state.grid, posterior(moved, coarse_log), likelihoods)
@@ -151,22 +155,28 @@ class CoarseBelief:
         )
         return new, Heard(features, bins, heard, spreads, since_s, coarse_log)
 
-    def _error_bins(self, grid: BeliefGrid, intervals: Intervals) -> Tensor:
-        """Return the row of the tables for the error that each cell would mean, shape (B, A, C)."""
-        errors_m = intervals.ranges.double()[..., None] - grid.distances_m
-        return ((errors_m - LOWEST_ERROR_M) / ERROR_STEP_M).clamp_(0, ERRORS - 1).long()
-
-    def _expected(self, grid: BeliefGrid, beliefs: Tensor, likelihoods: Tensor) -> RangeExpectation:
+    @staticmethod
+    def _expected(grid: BeliefGrid, beliefs: Tensor, likelihoods: Tensor) -> RangeExpectation:
         """Return what beliefs (B, X, Y) expect of ranges, with and without the likelihoods (B, A, C) of each."""
         weights = beliefs.flatten(1)
         by_all = weights @ grid.distances_m.mT
         # Dividing a range's own likelihood out again leaves what the other ranges say.
         others = weights[:, None, :] / likelihoods
-        total = others.sum(-1)
-        mean = (others * grid.distances_m).sum(-1) / total
-        square = (others * grid.distances_m.square()).sum(-1) / total
+        powers = torch.stack(
+            [torch.ones_like(grid.distances_m), grid.distances_m, grid.distances_m.square()], -1
+        )
+        total, first, second = torch.bmm(others.transpose(0, 1), powers).permute(2, 1, 0)
+        mean, square = first / total, second / total
         spread = (square - mean.square()).clamp(min=SMALLEST_SPREAD_M**2).sqrt()
         return RangeExpectation(by_others=mean, spread=spread, by_all=by_all)
+
+
+def _error_bins(grid: BeliefGrid, intervals: Intervals, heard: Tensor) -> Tensor:
+    """Return the row of the tables for the error that each cell would mean, shape (B, A, C), int32."""
+    # Narrow types: this is the largest tensor of a step.
+    steps = (intervals.ranges.double() - LOWEST_ERROR_M) / ERROR_STEP_M
+    bins = (steps.float()[..., None] - (grid.distances_m / ERROR_STEP_M).float()).clamp_(0, ERRORS - 1).int()
+    return bins.masked_fill_(~heard[..., None], SILENT)
 
 
 def tempered(since_s: Tensor, correlation_s: float) -> Tensor:

@@ -113,11 +113,13 @@ class Examples:
         site: Where they were made.
         intervals: Calibrated, time first: shapes (T, B, …).
         labels: Ground truth, shape (T, B, 2), metres, site frame; NaN where there is none.
+        devices: Device of each recording, shape (B,).
     """
 
     site: Site
     intervals: Intervals
     labels: Tensor
+    devices: Tensor
 
     def at(self, step: int) -> Intervals:
         """Return one interval of every recording."""

@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fploc.conf import instantiate, read_conf
 from fploc.errors import FplocError
@@ -31,6 +31,7 @@ from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.methods.bayes_grid import blurred
 from fploc.methods.belief_grid import posterior
 from fploc.methods.coarse_belief import (
+    SILENT,
     CoarseBelief,
     CoarseSettings,
     CoarseState,
@@ -183,7 +184,9 @@ class LearnedGridFilter:
         """Return the pooled log-likelihood of the interval, shape (B, C)."""
         links = heard.features.flatten(0, 1)
         views = [log_density(network(links), self._errors_m) for network in self.networks]
-        tables = torch.stack(views).mean(0).reshape(*heard.features.shape[:2], len(self._errors_m))
-        learned = torch.where(heard.heard[..., None], tables.gather(-1, heard.error_bins), 0.0).sum(1)
+        tables = nn.functional.pad(torch.stack(views).mean(0), (0, 1))
+        bins = heard.error_bins
+        rows = torch.arange(len(tables), dtype=torch.int32).view(*bins.shape[:2], 1) * (SILENT + 1)
+        learned = tables.flatten().index_select(0, (bins + rows).flatten()).view(bins.shape).sum(1)
         share = self.settings.learned_share
         return share * learned + (1 - share) * heard.coarse_log

@@ -6,6 +6,7 @@ Axes: T intervals, B recordings and copies of them, A access points, F features.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -17,6 +18,7 @@ from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples
 from fploc.methods.link_evidence import FEATURES
 from fploc.models.range_error import RangeErrorNetwork, log_density
+from fploc.sites.site import Site
 
 EVERY_S = 60.0
 """Copies of a recording lose other access points, and get another offset, every minute."""
@@ -59,10 +61,14 @@ class Lessons:
     """Readings of one site with ground truth.
 
     Args:
+        site: Where they were made.
+        devices: Device of each, shape (n,).
         features: Shape (n, F).
         errors_m: Range minus distance, shape (n,), metres.
     """
 
+    site: Site
+    devices: Tensor
     features: Tensor
     errors_m: Tensor
 
@@ -83,7 +89,13 @@ def range_lessons(examples: Examples, coarse: CoarseBelief, settings: LessonSett
     errors_m = intervals.ranges - away.norm(dim=-1)
     usable = intervals.heard & intervals.present[..., None] & errors_m.isfinite()
     usable &= intervals.ranges <= FARTHEST_RANGE_M
-    return Lessons(features[usable], errors_m[usable])
+    devices = examples.devices.repeat(rows // len(examples.devices)).expand(steps, rows)
+    return Lessons(
+        examples.site,
+        devices[..., None].expand_as(usable)[usable],
+        features[usable],
+        errors_m[usable],
+    )
 
 
 def copied(examples: Examples, settings: LessonSettings) -> tuple[Intervals, Tensor]:
@@ -142,25 +154,38 @@ def _in_order_of_names(examples: Examples) -> Examples:
     )
 
 
+def balanced_weights(sites: Sequence[Lessons]) -> Tensor:
+    """Return the weight of every reading of all sites, shape (n,), with mean 1.
+
+    Places weigh alike, then the sites of a place, then the devices of a site: access points that stand in four
+    layouts on one floor teach no more of other floors than those of one.
+    """
+    places = Counter(one.site.place for one in sites)
+    weights = []
+    for one in sites:
+        devices, which, counts = one.devices.unique(return_inverse=True, return_counts=True)
+        shares = 1 / (len(places) * places[one.site.place] * len(devices) * counts.double())
+        weights.append(shares[which])
+    joined = torch.cat(weights)
+    return joined * len(joined)
+
+
 def taught(sites: Sequence[Lessons], view: Sequence[int], settings: LessonSettings) -> RangeErrorNetwork:
-    """Return a network trained on the readings of sites, every site with the same weight.
+    """Return a network trained on the readings of sites, balanced by place and device.
 
     Args:
         sites: At least one, each with readings.
         view: Features that it looks at.
         settings: Of the training.
     """
-    sizes = [len(one.errors_m) for one in sites]
-    weights = torch.cat([torch.full((size,), sum(sizes) / (len(sizes) * size)) for size in sizes]).double()
+    weights = balanced_weights(sites)
     features = torch.cat([one.features for one in sites])
     errors_m = torch.cat([one.errors_m for one in sites])
     generator = torch.Generator().manual_seed(settings.seed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        network = RangeErrorNetwork(
-            view, features.mean(0), features.std(0), settings.hidden, settings.dropout
-        )
-        network = network.double().train()
+        network = RangeErrorNetwork(view, settings.hidden, settings.dropout).train()
+        network.scale_by(features, weights)
         batch = min(BATCH, len(errors_m))
         steps = max(settings.fewest_steps, settings.epochs * len(errors_m) // batch)
         optimizer = torch.optim.AdamW(

@@ -33,8 +33,6 @@ class RangeErrorNetwork(nn.Module):
 
     Args:
         view: Features that it looks at, as indices of the axis F.
-        means: Of the features, shape (F,), to centre them.
-        deviations: Of the features, shape (F,), to scale them.
         hidden: Width of both hidden layers.
         dropout: Share of the first layer's outputs dropped in training.
     """
@@ -43,13 +41,11 @@ class RangeErrorNetwork(nn.Module):
     means: Tensor
     deviations: Tensor
 
-    def __init__(
-        self, view: Sequence[int], means: Tensor, deviations: Tensor, hidden: int, dropout: float
-    ) -> None:
+    def __init__(self, view: Sequence[int], hidden: int, dropout: float) -> None:
         super().__init__()
         self.register_buffer("view", torch.tensor(view))
-        self.register_buffer("means", means[list(view)])
-        self.register_buffer("deviations", deviations[list(view)].clamp(min=SMALLEST_DEVIATION))
+        self.register_buffer("means", torch.zeros(len(view)))
+        self.register_buffer("deviations", torch.ones(len(view)))
         self.layers = nn.Sequential(
             nn.Linear(len(view), hidden),
             nn.SiLU(),
@@ -58,6 +54,15 @@ class RangeErrorNetwork(nn.Module):
             nn.SiLU(),
             nn.Linear(hidden, 4),
         )
+        self.double()
+
+    def scale_by(self, features: Tensor, weights: Tensor) -> None:
+        """Centre and scale inputs by the mean and standard deviation of features (n, F), weighted by (n,)."""
+        seen = features[:, self.view]
+        shares = (weights / weights.sum())[:, None]
+        self.means = (shares * seen).sum(0)
+        variances = (shares * (seen - self.means).square()).sum(0)
+        self.deviations = variances.sqrt().clamp(min=SMALLEST_DEVIATION)
 
     def forward(self, features: Tensor) -> Tensor:
         """Return raw parameters, shape (n, 4), of links with ``features``, shape (n, F)."""

@@ -167,7 +167,7 @@ def examples_at(site: Site) -> Examples:
     without_last[:, [point.name == "AP5" for point in site.access_points]] = False
     halves = [intervals_of(ranges, heard), intervals_of(ranges, without_last)]
     both = {one.name: torch.stack([getattr(half, one.name) for half in halves], 1) for one in SINGLE}
-    return Examples(site, Intervals(**both), torch.stack([truth, truth], 1))
+    return Examples(site, Intervals(**both), torch.stack([truth, truth], 1), torch.tensor([1, 2]))
 
 
 SINGLE = fields(Intervals)[:-1]
