@@ -262,6 +262,9 @@ def _bench_parser() -> ArgumentParser:
         "--methods", type=str | None, default=None, help="Names, commas between. Default: all."
     )
     parser.add_argument("--fixes", type=int, default=1000, help="To time at least, of each method.")
+    parser.add_argument(
+        "--batch", type=int, default=64, help="Devices that one call localizes, beside single ones."
+    )
     parser.add_argument("--seed", type=int, default=0, help="Seed of trained artifacts.")
     parser.add_argument("--preset", type=str, default="default", help="Preset of trained artifacts.")
     _add_data_root(parser)
@@ -533,6 +536,7 @@ def _run_bench(options: Namespace) -> None:
         options.site,
         named,
         fixes=options.fixes,
+        batch=options.batch,
         preset=options.preset,
         seed=options.seed,
         data_root=options.data_root,

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fploc.artifacts import Artifact, ArtifactKey, offsets_of
 from fploc.calibration.offsets import SourceRecordings, fit_pooled_offsets
@@ -17,6 +21,7 @@ from fploc.evaluation.evaluate import (
     records_of,
     tracks_of,
 )
+from fploc.evaluation.metrics import normalised_errors
 from fploc.evaluation.protocols import POOLED_SITES, PUBLIC_SOURCE, protocol_of
 from fploc.evaluation.records import Record, write_records
 from fploc.experiments.model_card import model_card
@@ -25,6 +30,7 @@ from fploc.experiments.source_fit import fitted_on
 from fploc.files import whole
 from fploc.methods.learned_grid import LearnedGrid, LearnedGridFilter
 from fploc.methods.stored_grid import restored, stored
+from fploc.plots.reliability import plot_reliability
 from fploc.progress import track
 from fploc.shipped import (
     DEFAULT,
@@ -37,7 +43,7 @@ from fploc.shipped import (
     model_command,
 )
 
-RECORDS, CARD = "records.jsonl", "MODEL.md"
+RECORDS, CARD, RELIABILITY = "records.jsonl", "MODEL.md", "reliability.png"
 
 
 def make_model(sites: Sequence[str] | None, data_root: Path, runs: Path, out: Path | None) -> list[Record]:
@@ -46,7 +52,8 @@ def make_model(sites: Sequence[str] | None, data_root: Path, runs: Path, out: Pa
     Args:
         sites: Sites to leave out one at a time; None for all packed ones that it learns at otherwise.
         data_root: Folder of packed sites.
-        runs: Folder of runs: what was trained without a site, and the records, go below it.
+        runs: Folder of runs: what was trained without a site, the records and a figure of how reliable stated
+            regions are go below it.
         out: Folder to write what ships to, both artifacts and their card; None trains neither.
 
     Raises:
@@ -57,26 +64,42 @@ def make_model(sites: Sequence[str] | None, data_root: Path, runs: Path, out: Pa
         _require(POOLED_SITES, there, data_root)
     protocol = protocol_of(POOLED.protocol)
     chosen = [one for one in POOLED_SITES if protocol.admits(one) and one in there]
-    records = []
+    done: list[_Scored] = []
     for site in track(chosen if sites is None else sites, "leave one out"):
         protocol.check_target(site)
         if site not in there:
             raise UnknownNameError("--sites", site, known=there, way_out="build it with `fploc data build`")
         artifact = _without(site, data_root)
         artifact.save(artifacts_folder(runs))
-        records += _records(artifact, site, data_root)
+        done.append(_scored(artifact, site, data_root))
     if out is not None:
         _pooled(data_root).save(out)
         source_only = _source_only(data_root)
         source_only.save(out)
-        for site in ("conference-room", *chosen):
-            records += _records(source_only, site, data_root)
+        done += [_scored(source_only, site, data_root) for site in ("conference-room", *chosen)]
+    records = [record for one in done for record in one.records]
+    if out is not None:
         with whole(out / CARD) as part:
             part.write_text(model_card(records), encoding="utf-8")
     folder = runs / MODEL
     folder.mkdir(parents=True, exist_ok=True)
     write_records(records, folder / RECORDS)
+    regions = {name: nees for one in done for name, nees in one.nees.items()}
+    plot_reliability(regions, f"{DEFAULT}, at places that it did not see").savefig(folder / RELIABILITY)
     return records
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """What the method made of a site.
+
+    Args:
+        records: The scores.
+        nees: eᵀP⁻¹e of every fix of a device, shape (n,), by protocol, site and device.
+    """
+
+    records: list[Record]
+    nees: dict[str, NDArray[np.float64]]
 
 
 def _require(sites: Sequence[str], there: Sequence[str], data_root: Path) -> None:
@@ -134,8 +157,8 @@ def _trained(
     )
 
 
-def _records(artifact: Artifact, site: str, data_root: Path) -> list[Record]:
-    """Return the records of the method of an artifact at a site."""
+def _scored(artifact: Artifact, site: str, data_root: Path) -> _Scored:
+    """Return what the method of an artifact makes of a site."""
     packed = read_packed(data_root, site)
     offsets = offsets_of(artifact)
     request = EvaluationRequest(
@@ -144,4 +167,14 @@ def _records(artifact: Artifact, site: str, data_root: Path) -> list[Record]:
     method = restored(artifact).for_plan(packed.plan)
     tracks = tracks_of(method, request, data_root, offsets=offsets)
     records = records_of(DEFAULT, request, tracks, artifact=str(artifact.key.folder(Path())))
-    return [one for one in records if one.filter == OWN]
+    nees = {
+        f"{request.protocol}, {site} {device}": np.concatenate(
+            [
+                normalised_errors(one.unfiltered, one.recording.labels_m(REPAIRED))
+                for one in tracks
+                if one.recording.device == device
+            ]
+        )
+        for device in sorted({one.recording.device for one in tracks})
+    }
+    return _Scored([one for one in records if one.filter == OWN], nees)
