@@ -7,6 +7,7 @@ PRESET ?= default
 DATA ?= $(or $(FPLOC_DATA),data)
 RUNS ?= runs
 WORKERS ?= 2
+MODEL_SITES := office,office-position1,office-position2,conference-room,laboratory,library,shopping-mall
 
 # Small batches on few cores: one thread each is faster than threads that wait for each other spinning.
 export OMP_NUM_THREADS ?= 1
@@ -14,7 +15,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks results describe lock wheel clean
+.PHONY: help install reproduce test lint ui notebooks model results describe lock wheel clean
 
 help: ## List every target
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -46,6 +47,10 @@ ui: install ## Open the MLflow comparison on http://127.0.0.1:5000
 
 notebooks: install ## Execute the notebooks on the results under runs/
 	@FPLOC_RUNS=$(abspath $(RUNS)) $(BIN)/python -m pytest --nbmake notebooks -o testpaths=notebooks
+
+model: install ## Train the default method: what ships, and without each place (20 minutes)
+	@$(BIN)/fploc data build --data-root $(DATA) --sites $(MODEL_SITES)
+	@$(BIN)/fploc model --data-root $(DATA) --runs $(RUNS) --out fploc/pretrained
 
 results: install ## Write docs/results.md from finished runs of the presets full and published
 	@$(BIN)/python benchmarks/virtual_stream.py --data-root $(DATA) --json > $(RUNS)/virtual-stream.json

@@ -13,6 +13,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
+from fploc.calibration.offsets import RangeOffsets
 from fploc.conf import instantiate
 from fploc.errors import BadFileError, MissingArtifactError
 
@@ -105,18 +106,30 @@ def load_artifact(root: Path, key: ArtifactKey, *, data_hash: str, command: str)
         MissingArtifactError: If there is none, or it was made from other data or by another version.
         BadFileError: If its files cannot be read.
     """
+    return _artifact(root, key, {"data_hash": data_hash}, command)
+
+
+def load_shipped(root: Path, key: ArtifactKey, *, command: str) -> Artifact:
+    """Return an artifact that is used wherever its data are not at hand; see ``load_artifact``."""
+    return _artifact(root, key, {}, command)
+
+
+def offsets_of(artifact: Artifact) -> RangeOffsets:
+    """Return the range offsets that an artifact was trained behind."""
+    stored = artifact.constants["offsets"]
+    return RangeOffsets(**{**stored, "recordings": tuple(stored["recordings"])})
+
+
+def _artifact(root: Path, key: ArtifactKey, also: Mapping[str, str], command: str) -> Artifact:
+    """Return the artifact of ``key`` where its description says this, and also what ``also`` says."""
     folder = key.folder(root)
     description = _description(folder, key, command)
-    found = {
-        "key": description.get("key"),
-        "data_hash": description.get("data_hash"),
-        "format_version": description.get("format_version"),
-    }
-    wanted = {"key": asdict(key), "data_hash": data_hash, "format_version": FORMAT_VERSION}
+    wanted = {"key": asdict(key), **also, "format_version": FORMAT_VERSION}
     for name, value in wanted.items():
-        if found[name] != value:
+        found = description.get(name)
+        if found != value:
             raise MissingArtifactError(
-                f"{folder}, {name}", value=found[name], expected=str(value), way_out=f"make it: {command}"
+                f"{folder}, {name}", value=found, expected=str(value), way_out=f"make it: {command}"
             )
     specs = description["specs"]
     networks = {name: _network(folder / f"{name}.safetensors", spec) for name, spec in specs.items()}
@@ -125,7 +138,7 @@ def load_artifact(root: Path, key: ArtifactKey, *, data_hash: str, command: str)
         specs=specs,
         networks=networks,
         constants=description["constants"],
-        data_hash=data_hash,
+        data_hash=description["data_hash"],
         recordings=tuple(description["recordings"]),
         command=description["command"],
     )

@@ -31,7 +31,7 @@ DATA_COMMANDS = {
     "describe": "Count what packed sites hold, draw them. Example: fploc data describe --out overlays",
 }
 COMMANDS = {
-    "": ("data", "made-up", "fit", "synthesize", "evaluate", "tune", "bench", "reproduce"),
+    "": ("data", "made-up", "fit", "synthesize", "evaluate", "tune", "model", "bench", "reproduce"),
     "data": tuple(DATA_COMMANDS),
 }
 PRINTED = "-"
@@ -91,6 +91,7 @@ def make_parser() -> ArgumentParser:
     )
     commands.add_subcommand("evaluate", _evaluate_parser(), help="Score a method on a packed site.")
     commands.add_subcommand("tune", _tune_parser(), help="Choose a method's settings on the source.")
+    commands.add_subcommand("model", _model_parser(), help="Train the default method.")
     commands.add_subcommand("bench", _bench_parser(), help="Time one fix of every method.")
     commands.add_subcommand(
         "reproduce", _reproduce_parser(), help="Get data, train, evaluate, tabulate: `make reproduce`."
@@ -227,6 +228,27 @@ def _tune_parser() -> ArgumentParser:
     return parser
 
 
+def _model_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Train the default method without each place that it learns at otherwise, and with all of "
+        "them where --out is given. Example: fploc model --sites laboratory",
+        exit_on_error=False,
+    )
+    parser.add_argument(
+        "--sites",
+        type=str | None,
+        default=None,
+        help="Packed sites to leave out, commas between. Default: all.",
+    )
+    parser.add_argument(
+        "--out", type=Path | None, default=None, help="Folder to write what ships to. Default: none."
+    )
+    _add_data_root(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of trained artifacts.")
+    _add_printed_json(parser)
+    return parser
+
+
 def _bench_parser() -> ArgumentParser:
     parser = ArgumentParser(
         description="Time one fix of every method, single and in a batch, with one thread and with all. "
@@ -240,6 +262,9 @@ def _bench_parser() -> ArgumentParser:
         "--methods", type=str | None, default=None, help="Names, commas between. Default: all."
     )
     parser.add_argument("--fixes", type=int, default=1000, help="To time at least, of each method.")
+    parser.add_argument(
+        "--batch", type=int, default=64, help="Devices that one call localizes, beside single ones."
+    )
     parser.add_argument("--seed", type=int, default=0, help="Seed of trained artifacts.")
     parser.add_argument("--preset", type=str, default="default", help="Preset of trained artifacts.")
     _add_data_root(parser)
@@ -272,6 +297,7 @@ def _runner(options: Namespace) -> int:
         "synthesize": _run_synthesize,
         "evaluate": _run_evaluate,
         "tune": _run_tune,
+        "model": _run_model,
         "bench": _run_bench,
         "reproduce": _run_reproduce,
     }
@@ -490,6 +516,18 @@ def _run_tune(options: Namespace) -> None:
     _print({**values, "written": str(write_tuned(options.method, tuned))}, as_json=bool(options.json))
 
 
+def _run_model(options: Namespace) -> None:
+    from fploc.experiments.model import make_model
+
+    sites = None if options.sites is None else [name.strip() for name in options.sites.split(",")]
+    records = [one.as_json() for one in make_model(sites, options.data_root, options.runs, options.out)]
+    if options.json:
+        print(json.dumps(records, indent=2))  # noqa: T201
+        return
+    columns = ("protocol", "site", "device", "n", "rmse_m", "p50_m", "p90_m", "coverage95", "nees")
+    _print_rows([{name: _text(record[name]) for name in columns} for record in records], as_json=False)
+
+
 def _run_bench(options: Namespace) -> None:
     from fploc.experiments.bench import bench
 
@@ -498,6 +536,7 @@ def _run_bench(options: Namespace) -> None:
         options.site,
         named,
         fixes=options.fixes,
+        batch=options.batch,
         preset=options.preset,
         seed=options.seed,
         data_root=options.data_root,

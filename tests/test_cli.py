@@ -24,6 +24,7 @@ COMMANDS = [
     ["data", "describe"],
     ["made-up"],
     ["evaluate"],
+    ["model"],
     ["reproduce"],
     ["fit"],
     ["synthesize"],
@@ -102,7 +103,8 @@ def test_refused_words_end_in_one_line(
     [
         (
             [],
-            "found no command, expected one of data, made-up, fit, synthesize, evaluate, tune, bench, reproduce;",
+            "found no command, expected one of data, made-up, fit, synthesize, evaluate, tune, model, bench, "
+            "reproduce;",
         ),
         (["fly"], "found 'fly', expected one of data, made-up, fit,"),
         (["data"], "found no command, expected one of download, verify, build, describe;"),

@@ -37,8 +37,12 @@ COMMANDS = sorted({command for page in PAGES for command in commands(page)})
 
 
 def test_python_example_runs_and_gives_positions(tmp_path: Path) -> None:
-    (example,) = blocks(README, "python")
-    checked = example + "import numpy\nnumpy.save('positions.npy', tracks[0].filtered.positions_m)\n"
+    tracks, one_set = blocks(README, "python")
+    checked = (
+        f"{tracks}{one_set}import numpy\nnumpy.save('positions.npy', tracks[0].filtered.positions_m)\n"
+        "truth = packed.recordings()[0].repaired_m[0]\n"
+        "numpy.save('error.npy', fix.positions[0].numpy() - truth)\n"
+    )
     done = subprocess.run(
         [sys.executable, "-c", checked], cwd=tmp_path, capture_output=True, text=True, timeout=120
     )
@@ -46,6 +50,9 @@ def test_python_example_runs_and_gives_positions(tmp_path: Path) -> None:
     positions = np.load(tmp_path / "positions.npy")
     assert positions.ndim == 2 and positions.shape[1] == 2 and len(positions) > 100
     assert np.isfinite(positions).mean() > 0.9
+    assert np.linalg.norm(np.load(tmp_path / "error.npy")) < 4.0
+    calls = [line for line in one_set.splitlines() if line and not line.startswith("from ")]
+    assert len(calls) == 5
 
 
 def test_commands_are_found() -> None:

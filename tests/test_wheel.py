@@ -66,6 +66,10 @@ def test_it_holds_both_packages_and_everything_they_read(wheel: Path) -> None:
     registry = {f"fploc/sites/registry/{name}.yaml" for name in known_sites()}
     assert len(registry) == 9 and registry <= names
     lists = {str(path.relative_to(ROOT)) for path in (ROOT / "fploc/datasets/files").glob("*.tsv")}
+    trained = {
+        str(path.relative_to(ROOT)) for path in (ROOT / "fploc/pretrained").rglob("*") if path.is_file()
+    }
+    assert len(trained) == 7 and trained <= names
     assert lists and lists | {"fploc/evaluation/paper_numbers.tsv"} <= names
 
 

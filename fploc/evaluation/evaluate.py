@@ -116,7 +116,23 @@ def _fitted_offsets(
 
 
 def source_recordings(request: EvaluationRequest, data_root: Path) -> list[SourceRecordings]:
-    """Return the recordings that methods for the target of a request learn from, by site."""
+    """Return the recordings that methods for the target of a request learn from, by site.
+
+    Of several sites, one is left to validate on.
+    """
+    every = every_source_recording(request, data_root)
+    if not protocol_of(request.protocol, request.source).pools:
+        return every
+    validating = validation_site([one.site.name for one in every])
+    return [one for one in every if one.site.name != validating]
+
+
+def every_source_recording(request: EvaluationRequest, data_root: Path) -> list[SourceRecordings]:
+    """Return the recordings that a method for the target may learn from which validates on none, by site.
+
+    Raises:
+        FplocError: If there is none.
+    """
     protocol = protocol_of(request.protocol, request.source)
     if not protocol.pools:
         source = read_packed(data_root, protocol.source)
@@ -124,10 +140,16 @@ def source_recordings(request: EvaluationRequest, data_root: Path) -> list[Sourc
     packed = [read_packed(data_root, name) for name in packed_sites(data_root)]
     target = next(one.site for one in packed if one.site.name == request.site)
     names = protocol.sources(target, [one.site for one in packed])
-    learned = [name for name in names if name != validation_site(names)]
-    return [
-        SourceRecordings(one.recordings(), one.site, one.plan) for one in packed if one.site.name in learned
-    ]
+    by_name = {one.site.name: one for one in packed}
+    chosen = [by_name[name] for name in names if name in by_name]
+    if not chosen:
+        raise FplocError(
+            f"packed sites to learn from for {request.site}",
+            value="none",
+            expected=f"at least one of {', '.join(names)}",
+            way_out="build more sites with `fploc data build`, or take `--method default`, which has learned before",
+        )
+    return [SourceRecordings(one.recordings(), one.site, one.plan) for one in chosen]
 
 
 def tracks_of(

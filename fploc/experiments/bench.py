@@ -73,6 +73,7 @@ def bench(
     seed: int,
     data_root: Path,
     runs: Path,
+    batch: int = BATCH,
 ) -> list[Timing]:
     """Time methods at a site, those that know only the source there.
 
@@ -84,6 +85,7 @@ def bench(
         seed: Of the artifacts.
         data_root: Folder of packed sites.
         runs: Folder of runs.
+        batch: Devices that one call localizes, beside single ones.
 
     Raises:
         UnknownNameError: If there is no such method.
@@ -95,6 +97,10 @@ def bench(
     if fixes < FEWEST_FIXES:
         raise FplocError(
             "--fixes", value=fixes, expected=f"{FEWEST_FIXES} or more", way_out="leave it out for the fewest"
+        )
+    if batch < 2:
+        raise FplocError(
+            "--batch", value=batch, expected="2 or more", way_out="single fixes are timed all the same"
         )
     timings: list[Timing] = []
     for name in track(list(METHODS if methods is None else methods), "bench"):
@@ -108,7 +114,7 @@ def bench(
             continue
         target = read_packed(data_root, request.site)
         recordings = protocol_of(request.protocol).testing(target, request.device)
-        timings += _timings(name, ready, target.site, max(recordings, key=len), fixes)
+        timings += _timings(name, ready, target.site, max(recordings, key=len), fixes, batch)
     return timings
 
 
@@ -120,11 +126,13 @@ def _request(name: str, site: str, preset: str, seed: int) -> EvaluationRequest:
     return EvaluationRequest(protocol, target, device="1", preset=preset, seed=seed)
 
 
-def _timings(name: str, ready: ReadyMethod, site: Site, recording: Recording, fixes: int) -> Iterator[Timing]:
+def _timings(
+    name: str, ready: ReadyMethod, site: Site, recording: Recording, fixes: int, devices: int
+) -> Iterator[Timing]:
     """Yield the timings of one method, and those of the filter with the first method that has none."""
     for threads in sorted({1, os.cpu_count() or 1}):
         with _threads(threads):
-            for batch in (1, BATCH):
+            for batch in (1, devices):
                 localizer = Localizer(ready.method, site, ready.offsets, KalmanSettings())
                 steps = _steps(localizer, recording, batch, fixes)
                 located, smoothed = _milliseconds(localizer, steps, batch)

@@ -9,13 +9,13 @@ from pathlib import Path
 from datamodules.first_part import FirstPartDataModule
 from datamodules.measured import MeasuredDataModule
 from datamodules.pooled import PooledDataModule
-from fploc.artifacts import Artifact, ArtifactKey, load_artifact
+from fploc.artifacts import Artifact, ArtifactKey, load_artifact, offsets_of
 from fploc.datasets.packed import PackedSite
 from fploc.datasets.recordings import Recording
 from fploc.evaluation.protocols import Tested, protocol_of, validation_site
 from fploc.experiments.plan import SEEN, Learning
 from fploc.experiments.preset import Preset
-from fploc.experiments.scoring import artifacts_folder, data_hash, offsets_of, reproduce_command
+from fploc.experiments.scoring import artifacts_folder, data_hash, reproduce_command
 from fploc.experiments.training import (
     Loggers,
     Trained,

@@ -16,9 +16,9 @@ TRAINED_ELSEWHERE = ("multi-device",)
 HEADLINE_PLAN = "real"
 SEEN_ONLY = ("knn",)
 """Fingerprints know no place that they were not taken at."""
-COMPARED_EVERYWHERE = ("trilateration", "nls-onesided", *LEARNED_METHODS)
+COMPARED_EVERYWHERE = ("trilateration", "nls-onesided", "learned-grid", *LEARNED_METHODS)
 """Rivals learn nothing of a target, so that all of them are compared under two protocols; in the other ones the
-paper's and the strongest one without learning stand beside the networks."""
+paper's and the strongest one without learning stand beside the networks and what goes past them."""
 WITH_ALL_RIVALS = (SEEN, ZERO_SHOT)
 CALIBRATIONS, EQUIPMENT = "calibrations", "equipment"
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
-from fploc.artifacts import Artifact, ArtifactKey, load_artifact
-from fploc.calibration.offsets import RangeOffsets
+from fploc.artifacts import Artifact, ArtifactKey, load_artifact, offsets_of
+from fploc.calibration.offsets import RangeOffsets, fit_pooled_offsets
 from fploc.datasets.packed import (
     PackedSite,
     manifest_hash,
@@ -18,13 +17,13 @@ from fploc.datasets.packed import (
     read_manifest,
     read_packed,
 )
-from fploc.errors import UnknownNameError
+from fploc.errors import FplocError, UnknownNameError
 from fploc.evaluation.evaluate import (
     EvaluationRequest,
     evaluate,
+    every_source_recording,
     records_of,
     source_offsets,
-    source_recordings,
     tracks_of,
 )
 from fploc.evaluation.multi_device import multi_device_records
@@ -40,7 +39,7 @@ from fploc.floorplan.raster import PlanRaster
 from fploc.localizer import Track
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
-from fploc.methods.interface import Method
+from fploc.methods.interface import Method, ReadsPlan
 from fploc.methods.one_shot import RangeSolver
 from fploc.methods.registry import (
     GEOMETRIC_METHODS,
@@ -48,12 +47,23 @@ from fploc.methods.registry import (
     default_calibration,
     geometric_method,
 )
+from fploc.methods.stored_grid import learned_places, restored
 from fploc.models.fpdnn import Sight
+from fploc.shipped import (
+    DEFAULT,
+    POOLED,
+    PRETRAINED,
+    SEED,
+    SOURCE_ONLY,
+    leave_one_out_key,
+    model_command,
+    shipped_artifact,
+)
 from fploc.solvers.linear import solve_linear
 from fploc.solvers.losses import OneSidedLoss
 from fploc.solvers.nonlinear import solve_nonlinear
 
-METHODS = (*GEOMETRIC_METHODS, *SOURCE_FITTED_METHODS, *LEARNED_METHODS)
+METHODS = (*GEOMETRIC_METHODS, *SOURCE_FITTED_METHODS, *LEARNED_METHODS, DEFAULT)
 DEFAULT_CALIBRATION = "source-los"
 BEFORE_TUNING = "before fine-tuning"
 PLANS = {"real": Sight.PLAN, "blank": Sight.PLAN, "length": Sight.LENGTH, "none": Sight.NOTHING}
@@ -108,10 +118,15 @@ def ready_method(
         MissingArtifactError: If a learned method's artifact is not there.
         FplocError: If the plan that was asked for cannot be used.
     """
+    if name == DEFAULT:
+        return _default_method(request, calibration, data_root, runs)
     if name not in LEARNED_METHODS:
         own = default_calibration(name) if calibration is None else calibration
+        if name in SOURCE_FITTED_METHODS:
+            ready = _fitted_method(name, request, own, data_root)
+            return replace(ready, method=_with_plan(ready.method, request, data_root))
         offsets = source_offsets(replace(request, calibration=own), data_root)
-        return ReadyMethod(_untrained_method(name, request, offsets, data_root), offsets, artifact=None)
+        return ReadyMethod(geometric_method(name), offsets, artifact=None)
     protocol = protocol_of(request.protocol, request.source)
     protocol.check_target(request.site)
     target = read_packed(data_root, request.site)
@@ -119,7 +134,7 @@ def ready_method(
     artifact = load_artifact(
         artifacts_folder(runs),
         key,
-        data_hash=data_hash(*_learned_and_tested(protocol, target, data_root)),
+        data_hash=data_hash(*learned_and_tested(protocol, target, data_root)),
         command=reproduce_command(request.preset, request.site),
     )
     offsets = offsets_of(artifact) if calibration is None else source_offsets(request, data_root)
@@ -133,12 +148,48 @@ def ready_method(
     )
 
 
-def _untrained_method(
-    name: str, request: EvaluationRequest, offsets: RangeOffsets, data_root: Path
-) -> Method:
-    """Return a method that needs no artifact: of pure geometry, or fitted on the source now."""
-    if name not in SOURCE_FITTED_METHODS:
-        return geometric_method(name)
+def _default_method(
+    request: EvaluationRequest, calibration: str | None, data_root: Path, runs: Path
+) -> ReadyMethod:
+    """Return the default method as it comes with the package, or as trained without the place of its target."""
+    protocol = protocol_of(request.protocol, request.source)
+    protocol.check_target(request.site)
+    if request.seed != SEED:
+        raise FplocError(
+            f"--seed with --method {DEFAULT}",
+            value=request.seed,
+            expected=f"{SEED}, the one that it was trained with",
+            way_out=f"leave it out, or train with `--method {SOURCE_ONLY.method}`",
+        )
+    target = read_packed(data_root, request.site)
+    artifact = shipped_artifact(POOLED if protocol.pools else SOURCE_ONLY)
+    name = f"{PRETRAINED.name}/{artifact.key.folder(Path())}"
+    if protocol.pools and target.site.place in learned_places(artifact):
+        key = leave_one_out_key(request.site)
+        artifact = load_artifact(
+            artifacts_folder(runs),
+            key,
+            data_hash=data_hash(*learned_and_tested(protocol, target, data_root)),
+            command=model_command(request.site),
+        )
+        name = str(key.folder(Path()))
+    if calibration is None:
+        offsets = offsets_of(artifact)
+    else:
+        offsets = source_offsets(replace(request, calibration=calibration), data_root)
+    return ReadyMethod(_with_plan(restored(artifact), request, data_root), offsets, artifact=name)
+
+
+def _with_plan(method: Method, request: EvaluationRequest, data_root: Path) -> Method:
+    """Return a method with the plan that a request asks for, where it reads plans."""
+    if not isinstance(method, ReadsPlan):
+        return method
+    target = read_packed(data_root, request.site)
+    return method.for_plan(chosen_plan(request.plan, target, data_root))
+
+
+def _fitted_method(name: str, request: EvaluationRequest, calibration: str, data_root: Path) -> ReadyMethod:
+    """Return a method that is fitted on its sources now, without a plan."""
     protocol = protocol_of(request.protocol, request.source)
     check_protocol(SOURCE_FITTED_METHODS[name](), protocol)
     # What is learned from one source depends neither on the target nor on the rest of the protocol.
@@ -149,21 +200,20 @@ def _untrained_method(
     )
     there = [packed_folder(data_root, site) for site in packed_sites(data_root)]
     hashes = tuple(manifest_hash(read_manifest(folder)) for folder in there)
-    return _fitted(name, learned, json.dumps(asdict(offsets), sort_keys=True), data_root, hashes)
+    return _fitted(name, learned, calibration, data_root, hashes)
 
 
 @lru_cache(maxsize=8)
 def _fitted(
-    name: str, request: EvaluationRequest, offsets: str, data_root: Path, hashes: tuple[str, ...]
-) -> Method:
-    """Fit a method once for many targets, as long as no packed site changes its hash; offsets as JSON."""
-    removed = RangeOffsets(**json.loads(offsets))
-    return fitted_on(SOURCE_FITTED_METHODS[name](), source_recordings(request, data_root), removed)
+    name: str, request: EvaluationRequest, calibration: str, data_root: Path, hashes: tuple[str, ...]
+) -> ReadyMethod:
+    """Fit a method and its offsets once for many targets, as long as no packed site changes its hash."""
+    sources = every_source_recording(request, data_root)
+    offsets = fit_pooled_offsets(calibration, sources)
+    return ReadyMethod(fitted_on(SOURCE_FITTED_METHODS[name](), sources, offsets), offsets, artifact=None)
 
 
-def _learned_and_tested(
-    protocol: EvaluationProtocol, target: PackedSite, data_root: Path
-) -> list[PackedSite]:
+def learned_and_tested(protocol: EvaluationProtocol, target: PackedSite, data_root: Path) -> list[PackedSite]:
     """Return the packed sites that networks for ``target`` depend on, itself last."""
     there = packed_sites(data_root) if protocol.pools else [protocol.source]
     packed = {name: read_packed(data_root, name) for name in there}
@@ -220,12 +270,6 @@ def learned_method(
         filter_settings=filter_settings,
         sight=sight,
     )
-
-
-def offsets_of(artifact: Artifact) -> RangeOffsets:
-    """Return the range offsets that an artifact was trained behind."""
-    stored = artifact.constants["offsets"]
-    return RangeOffsets(**{**stored, "recordings": tuple(stored["recordings"])})
 
 
 def chosen_plan(name: str, target: PackedSite, data_root: Path) -> FloorPlan:

@@ -9,6 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 from torch import Tensor
 
 from fploc.filters.kalman import BatchedFilter
+from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals
 from fploc.sites.site import Site
 
@@ -88,6 +89,14 @@ class Filtering(Protocol):
 
 
 @runtime_checkable
+class ReadsPlan(Protocol):
+    """A method that uses the plan of its target where there is one."""
+
+    def for_plan(self, plan: FloorPlan) -> Method:
+        """Return the method for a site with this plan."""
+
+
+@runtime_checkable
 class Calibrated(Protocol):
     """A method whose parameters belong to one calibration, which it runs with unless another is asked for."""
 
@@ -104,11 +113,13 @@ class Examples:
         site: Where they were made.
         intervals: Calibrated, time first: shapes (T, B, …).
         labels: Ground truth, shape (T, B, 2), metres, site frame; NaN where there is none.
+        devices: Device of each recording, shape (B,).
     """
 
     site: Site
     intervals: Intervals
     labels: Tensor
+    devices: Tensor
 
     def at(self, step: int) -> Intervals:
         """Return one interval of every recording."""

@@ -18,6 +18,7 @@ from fploc.methods.cbt_wccg import CbtWccg, CbtWccgSettings
 from fploc.methods.fingerprints import Knn, KnnSettings
 from fploc.methods.gbm import Gbm, GbmSettings
 from fploc.methods.interface import Calibrated, Method, SourceFitted
+from fploc.methods.learned_grid import LearnedGrid, LearnedGridSettings
 from fploc.methods.lls import LlsSettings, lls
 from fploc.methods.nls import nls
 from fploc.methods.nls_onesided import nls_onesided
@@ -54,6 +55,7 @@ GEOMETRIC_PARTS: Mapping[str, MethodParts] = {
 SOURCE_FITTED_PARTS: Mapping[str, MethodParts] = {
     "knn": MethodParts(KnnSettings, Knn),
     "gbm": MethodParts(GbmSettings, Gbm),
+    "learned-grid": MethodParts(LearnedGridSettings, LearnedGrid),
 }
 RIVAL_PARTS: Mapping[str, MethodParts] = {**GEOMETRIC_PARTS, **SOURCE_FITTED_PARTS}
 

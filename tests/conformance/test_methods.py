@@ -15,6 +15,7 @@ from fploc.intervals import Estimate, Intervals, NoFix
 from fploc.methods.bayes_grid import BayesGrid, BayesGridSettings
 from fploc.methods.cbt_wccg import CbtWccg, CbtWccgSettings
 from fploc.methods.interface import Examples, Filtering, Method
+from fploc.methods.learned_grid import LearnedGridSettings
 from fploc.methods.one_shot import Memoryless
 from fploc.methods.registry import (
     GEOMETRIC_METHODS,
@@ -84,6 +85,9 @@ PROMISES: Mapping[str, Promise] = {
     ),
     "cbt-wccg": Promise(without_noise=single_circles),
     "knn": Promise(fewest_ranges=1, fixes_on_a_line=True),
+    "learned-grid": Promise(
+        fewest_ranges=1, tolerance_m=LearnedGridSettings.read().coarse.cell_m, fixes_on_a_line=True
+    ),
 }
 NAMES = sorted([*GEOMETRIC_METHODS, *SOURCE_FITTED_METHODS])
 
@@ -163,7 +167,7 @@ def examples_at(site: Site) -> Examples:
     without_last[:, [point.name == "AP5" for point in site.access_points]] = False
     halves = [intervals_of(ranges, heard), intervals_of(ranges, without_last)]
     both = {one.name: torch.stack([getattr(half, one.name) for half in halves], 1) for one in SINGLE}
-    return Examples(site, Intervals(**both), torch.stack([truth, truth], 1))
+    return Examples(site, Intervals(**both), torch.stack([truth, truth], 1), torch.tensor([1, 2]))
 
 
 SINGLE = fields(Intervals)[:-1]

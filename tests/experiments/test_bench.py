@@ -42,6 +42,13 @@ def test_every_method_is_timed_alone_and_in_a_batch_with_one_thread_and_with_all
     assert timings[0].as_json()["site"] == "made-up-4"
 
 
+def test_the_batch_can_be_chosen(root: Path) -> None:
+    sizes = {"fixes": 1000, "preset": "smoke", "seed": 0, "data_root": root, "runs": root / "runs"}
+    assert {one.batch for one in bench("made-up-4", ["lls"], batch=200, **sizes)} == {1, 200}
+    with pytest.raises(FplocError, match="--batch: found 1, expected 2 or more"):
+        bench("made-up-4", ["lls"], batch=1, **sizes)
+
+
 def test_what_knows_only_the_source_is_timed_there(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benching, "FEWEST_FIXES", 20)
     assert {one.site for one in timed(["knn"], root, fixes=20)} == {"office"}

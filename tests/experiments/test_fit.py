@@ -17,11 +17,11 @@ from lightning.fabric.utilities.distributed import DistributedSamplerWrapper
 from safetensors.torch import load_file
 
 from datamodules.measured import MeasuredDataModule
-from fploc.artifacts import Artifact, ArtifactKey, load_artifact
+from fploc.artifacts import Artifact, ArtifactKey, load_artifact, offsets_of
 from fploc.cli import main
 from fploc.conf import conf_folder
 from fploc.datasets.packed import read_packed
-from fploc.experiments.scoring import data_hash, offsets_of
+from fploc.experiments.scoring import data_hash
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*does not have many workers", "ignore:.*GPU available")
 

@@ -1,0 +1,148 @@
+"""What plan, survey and each part of learned-grid are worth: `python benchmarks/plan_worth.py --help`.
+
+RMSE by repaired labels, every k-th interval at its own time. Plans are moved, scaled and turned under the access
+points, and access points are moved under the plan: the drawing or the survey is wrong, the readings are those
+measured. Parts are taken away from the trained method without training it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fploc.artifacts import offsets_of
+from fploc.datasets.packed import PackedSite, read_packed
+from fploc.evaluation.metrics import score
+from fploc.experiments.scoring import chosen_plan
+from fploc.floorplan.georeference import Georeference
+from fploc.floorplan.plan import FloorPlan
+from fploc.localizer import localize
+from fploc.methods.learned_grid import LearnedGridFilter
+from fploc.methods.stored_grid import restored
+from fploc.progress import print_table
+from fploc.shipped import SOURCE_ONLY, shipped_artifact
+from fploc.sites.site import Site
+
+SITES = ("conference-room", "laboratory", "library", "shopping-mall")
+SHIFT_M, SCALE, TURN = 1.0, 1.05, math.radians(3.0)
+SURVEY_ERROR_M, SURVEYS = 0.5, 2
+LABELS = "repaired"
+
+
+def displaced(plan: FloorPlan, about_m: tuple[float, float], matrix: Sequence[Sequence[float]]) -> FloorPlan:
+    """Return a plan drawn elsewhere: what stood at x stands at A (x − about) + about + b, with matrix [A b].
+
+    Args:
+        plan: The plan.
+        about_m: Point that scaling and turning leave where it is, metres.
+        matrix: A and b side by side, shape (2, 3).
+    """
+    moved = np.vstack([np.array(matrix, dtype=np.float64), [0.0, 0.0, 1.0]])
+    to_point, back = np.eye(3), np.eye(3)
+    to_point[:2, 2], back[:2, 2] = about_m, np.negative(about_m)
+    after = plan.georeference.pixels_from_metres @ np.linalg.inv(to_point @ moved @ back)
+    return replace(plan, georeference=Georeference(after))
+
+
+def plans(packed: PackedSite, data_root: Path) -> dict[str, FloorPlan]:
+    """Return every plan to try at a site, by what is done to it."""
+    about = tuple(packed.site.positions_m.mean(axis=0).tolist())
+    cosine, sine = math.cos(TURN), math.sin(TURN)
+    changes = {
+        f"{SHIFT_M:+.0f} m in x": [[1, 0, SHIFT_M], [0, 1, 0]],
+        f"{-SHIFT_M:+.0f} m in x": [[1, 0, -SHIFT_M], [0, 1, 0]],
+        f"{SHIFT_M:+.0f} m in y": [[1, 0, 0], [0, 1, SHIFT_M]],
+        f"{-SHIFT_M:+.0f} m in y": [[1, 0, 0], [0, 1, -SHIFT_M]],
+        f"scaled by {SCALE}": [[SCALE, 0, 0], [0, SCALE, 0]],
+        f"scaled by 1/{SCALE}": [[1 / SCALE, 0, 0], [0, 1 / SCALE, 0]],
+        "turned by 3 degrees": [[cosine, -sine, 0], [sine, cosine, 0]],
+        "turned by -3 degrees": [[cosine, sine, 0], [-sine, cosine, 0]],
+    }
+    lent = "library" if packed.site.name != "library" else "laboratory"
+    return {
+        "real": packed.plan,
+        "blank": packed.plan.blank(),
+        f"of another site ({lent})": chosen_plan(lent, packed, data_root),
+        **{name: displaced(packed.plan, about, change) for name, change in changes.items()},
+    }
+
+
+def parts_taken(method: LearnedGridFilter, plan: FloorPlan) -> dict[str, LearnedGridFilter]:
+    """Return the method without each of its parts."""
+    settings = method.settings
+    everything, no_signals = method.networks
+    changed: Mapping[str, LearnedGridFilter] = {
+        "coarse likelihood alone": LearnedGridFilter(replace(settings, learned_share=0.0), method.networks),
+        "learned likelihood alone": LearnedGridFilter(replace(settings, learned_share=1.0), method.networks),
+        "view of everything alone": LearnedGridFilter(settings, [everything]),
+        "view without signals alone": LearnedGridFilter(settings, [no_signals]),
+        "nothing tempered": LearnedGridFilter(replace(settings, correlation_s=1e-3), method.networks),
+    }
+    return {name: one.for_plan(plan) for name, one in changed.items()}
+
+
+def resurveyed(site: Site, seed: int) -> Site:
+    """Return a site whose access points stand up to ``SURVEY_ERROR_M`` off in x and in y."""
+    errors = np.random.default_rng(seed).uniform(-SURVEY_ERROR_M, SURVEY_ERROR_M, (len(site.macs), 2))
+    moved = [
+        replace(one, x_m=one.x_m + float(dx), y_m=one.y_m + float(dy))
+        for one, (dx, dy) in zip(site.access_points, errors, strict=True)
+    ]
+    return replace(site, access_points=tuple(moved))
+
+
+def rows_at(site: str, every: int, data_root: Path) -> list[dict[str, str]]:
+    """Return a row for each thing that is done at a site."""
+    packed = read_packed(data_root, site)
+    artifact = shipped_artifact(SOURCE_ONLY)
+    method, offsets = restored(artifact), offsets_of(artifact)
+    recordings = [one.where(np.arange(len(one)) % every == 0) for one in packed.recordings()]
+
+    def row(kind: str, name: str, ready: LearnedGridFilter, where: Site) -> dict[str, str]:
+        tracks = localize(ready, where, recordings, offsets, None)
+        cells = {"site": site, "what": kind, "changed": name}
+        for device in (1, 2):
+            own = [one for one in tracks if one.recording.device == device]
+            scores = score([one.unfiltered for one in own], [one.recording.labels_m(LABELS) for one in own])
+            cells[f"device {device}, RMSE [m]"] = f"{scores.rmse_m:.2f}"
+        return cells
+
+    rows = [row("plan", "none", method, packed.site)]
+    rows += [
+        row("plan", name, method.for_plan(plan), packed.site)
+        for name, plan in plans(packed, data_root).items()
+    ]
+    rows += [row("part", name, one, packed.site) for name, one in parts_taken(method, packed.plan).items()]
+    rows += [
+        row("survey", f"up to {SURVEY_ERROR_M} m off, draw {seed}", method.for_plan(packed.plan), wrong)
+        for seed in range(SURVEYS)
+        for wrong in [resurveyed(packed.site, seed)]
+    ]
+    return rows
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--data-root", type=Path, default=Path("data"))
+    parser.add_argument("--sites", default=",".join(SITES), help="Packed sites, commas between.")
+    parser.add_argument("--every", type=int, default=10, help="Every so many-th interval is kept.")
+    parser.add_argument("--json", action="store_true", help="Print JSON instead of a table.")
+    options = parser.parse_args()
+    rows = [
+        row for site in options.sites.split(",") for row in rows_at(site, options.every, options.data_root)
+    ]
+    if options.json:
+        print(json.dumps(rows, indent=1))  # noqa: T201
+    else:
+        print_table(rows)
+
+
+if __name__ == "__main__":
+    main()

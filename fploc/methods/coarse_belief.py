@@ -1,0 +1,184 @@
+"""A belief that knows of ranges only that walls lengthen them, and what it expects of every range.
+
+It needs neither training nor a plan, and so carries no fault of a source or of a drawing to the features. What it
+says of a link, given all other links, is the best that can be known of its error before anything is learned.
+
+Axes: B devices, A access points, C cells, Q errors of a table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fploc.intervals import Intervals
+from fploc.methods.bayes_grid import blurred
+from fploc.methods.belief_grid import BeliefGrid, posterior
+from fploc.methods.link_evidence import LinkEvidence, RangeExpectation
+from fploc.sites.site import Site
+
+LOWEST_ERROR_M, ERROR_STEP_M, ERRORS = -12.0, 0.2, 260
+"""Errors are looked up in steps; those beyond the ends of the table, up to 40 m, count as its ends."""
+SILENT = ERRORS
+"""Row behind the table: of access points that were not heard."""
+LONGEST_GAP_S = 60.0
+"""A walker who was away for so long may be anywhere."""
+SMALLEST_SPREAD_M = 0.01
+
+
+@dataclass(frozen=True)
+class CoarseSettings:
+    """Settings of the grid, of the walk and of the coarse belief.
+
+    Args:
+        cell_m: Side of a cell, metres.
+        margin_m: Of the grid around the access points' bounding box, metres.
+        speed_prior_mps: v: a walker's speed.
+        straight_s: For so long a walker keeps direction: the belief spreads by v² · straight_s · dt per axis.
+        short_m: Decay of the density of errors below 0, metres.
+        long_m: Decay of the density of errors above 0, metres.
+        floor: Density of ranges that neither explains, beside that of the mode.
+        coarse_correlation_s: For so long the coarse belief takes errors of ranges for one error.
+    """
+
+    cell_m: float
+    margin_m: float
+    speed_prior_mps: float
+    straight_s: float
+    short_m: float
+    long_m: float
+    floor: float
+    coarse_correlation_s: float
+
+
+@dataclass(frozen=True)
+class CoarseState:
+    """Coarse beliefs of a batch of devices.
+
+    Args:
+        grid: Cells of the site.
+        beliefs: Probability of each cell, shape (B, X, Y).
+        links: Past of every link.
+        t_s: Time of each belief, shape (B,), seconds.
+        heard_t_s: Time of the last interval of each that heard something, shape (B,), seconds.
+        started: True once a device heard something, shape (B,).
+    """
+
+    grid: BeliefGrid
+    beliefs: Tensor
+    links: LinkEvidence
+    t_s: Tensor
+    heard_t_s: Tensor
+    started: Tensor
+
+    @classmethod
+    def before(cls, grid: BeliefGrid, devices: int) -> CoarseState:
+        """Return the state before the first interval."""
+        times = torch.zeros(devices, dtype=torch.float64)
+        links = LinkEvidence.before(devices, len(grid.distances_m))
+        return cls(grid, grid.uniform(devices), links, times, times, torch.zeros(devices, dtype=torch.bool))
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What an interval brings to a belief behind the coarse one.
+
+    Args:
+        features: Of every link, shape (B, A, F).
+        error_bins: Row of the tables of errors that each cell would mean, shape (B, A, C), int32; ``SILENT`` where
+            the device is absent or did not hear the access point.
+        heard: True where a device that is present heard an access point, shape (B, A).
+        spreads: Of the walk since the interval before, standard deviation per axis, shape (B,), cells.
+        since_s: Time since something was heard, shape (B,), seconds; infinite before the first time.
+        coarse_log: Untempered logarithm of the coarse likelihood of the interval, shape (B, C).
+    """
+
+    features: Tensor
+    error_bins: Tensor
+    heard: Tensor
+    spreads: Tensor
+    since_s: Tensor
+    coarse_log: Tensor
+
+
+def table_errors_m() -> Tensor:
+    """Return the errors that tables are made for, shape (Q,), metres."""
+    return LOWEST_ERROR_M + ERROR_STEP_M * (torch.arange(ERRORS, dtype=torch.float64) + 0.5)
+
+
+class CoarseBelief:
+    """Moves the coarse belief, and updates it.
+
+    Args:
+        settings: Of grid, walk and belief.
+    """
+
+    def __init__(self, settings: CoarseSettings) -> None:
+        self.settings = settings
+        errors_m = table_errors_m()
+        decays = torch.maximum(errors_m / settings.long_m, -errors_m / settings.short_m)
+        explained = torch.exp(-decays) + settings.floor
+        self._likelihoods = torch.cat([explained, torch.ones(1, dtype=torch.float64)])
+
+    def grid(self, site: Site) -> BeliefGrid:
+        """Return the cells of a site."""
+        return BeliefGrid.over(site, cell_m=self.settings.cell_m, margin_m=self.settings.margin_m)
+
+    def step(self, state: CoarseState, intervals: Intervals) -> tuple[CoarseState, Heard]:
+        """Advance every device that is present by one interval."""
+        heard = intervals.heard & intervals.present[:, None]
+        hears = heard.any(-1)
+        now = intervals.t_s.double()
+        t_s = torch.where(state.started, torch.maximum(now, state.t_s), now)
+        dt_s = torch.where(state.started & intervals.present, t_s - state.t_s, 0.0)
+        since_s = torch.where(state.started, t_s - state.heard_t_s, torch.inf)
+        walked = self.settings.straight_s * dt_s.clamp(max=LONGEST_GAP_S)
+        spreads = self.settings.speed_prior_mps * walked.sqrt() / self.settings.cell_m
+
+        bins = _error_bins(state.grid, intervals, heard)
+        likelihoods = self._likelihoods.index_select(0, bins.flatten()).view(bins.shape)
+        coarse_log = likelihoods.log().sum(1)
+        moved = blurred(state.beliefs, spreads)
+        expected = self._expected(state.grid, posterior(moved, coarse_log), likelihoods)
+        links, features = state.links.after(intervals, dt_s, expected)
+        powers = tempered(since_s, self.settings.coarse_correlation_s)
+        updated = posterior(moved, torch.where(hears, powers, 0.0)[:, None] * coarse_log)
+        new = CoarseState(
+            grid=state.grid,
+            beliefs=torch.where(intervals.present[:, None, None], updated, state.beliefs),
+            links=links,
+            t_s=torch.where(intervals.present, t_s, state.t_s),
+            heard_t_s=torch.where(hears, t_s, state.heard_t_s),
+            started=state.started | hears,
+        )
+        return new, Heard(features, bins, heard, spreads, since_s, coarse_log)
+
+    @staticmethod
+    def _expected(grid: BeliefGrid, beliefs: Tensor, likelihoods: Tensor) -> RangeExpectation:
+        """Return what beliefs (B, X, Y) expect of ranges, with and without the likelihoods (B, A, C) of each."""
+        weights = beliefs.flatten(1)
+        by_all = weights @ grid.distances_m.mT
+        # Dividing a range's own likelihood out again leaves what the other ranges say.
+        others = weights[:, None, :] / likelihoods
+        powers = torch.stack(
+            [torch.ones_like(grid.distances_m), grid.distances_m, grid.distances_m.square()], -1
+        )
+        total, first, second = torch.bmm(others.transpose(0, 1), powers).permute(2, 1, 0)
+        mean, square = first / total, second / total
+        spread = (square - mean.square()).clamp(min=SMALLEST_SPREAD_M**2).sqrt()
+        return RangeExpectation(by_others=mean, spread=spread, by_all=by_all)
+
+
+def _error_bins(grid: BeliefGrid, intervals: Intervals, heard: Tensor) -> Tensor:
+    """Return the row of the tables for the error that each cell would mean, shape (B, A, C), int32."""
+    # Narrow types: this is the largest tensor of a step.
+    steps = (intervals.ranges.double() - LOWEST_ERROR_M) / ERROR_STEP_M
+    bins = (steps.float()[..., None] - (grid.distances_m / ERROR_STEP_M).float()).clamp_(0, ERRORS - 1).int()
+    return bins.masked_fill_(~heard[..., None], SILENT)
+
+
+def tempered(since_s: Tensor, correlation_s: float) -> Tensor:
+    """Return the power of a likelihood, shape (B,), so long after the last one whose errors are still the same."""
+    return (since_s / correlation_s).clamp(max=1.0)

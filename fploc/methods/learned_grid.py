@@ -1,0 +1,192 @@
+"""``learned-grid``: a belief over the plan's free space, whose likelihood of every range is learned.
+
+The paper's chain passes one coarse point, then one corrected number per access point. Here nothing is passed on
+but distributions. At every interval
+
+1. a coarse belief (``fploc.methods.coarse_belief``) says what it expects of every range by all the others;
+2. two small networks (``fploc.models.range_error``) make of this, and of the link's recent past, distributions of
+   the range's error: bias, a spread on either side, probability of an outlier. One sees all of it, one no signals;
+3. the belief is moved by a random walk, and multiplied by these and by the coarse likelihood, pooled as
+   Π p_learned^share · p_coarse^(1 − share): what was learned elsewhere corrects, it does not rule.
+
+Likelihoods are tempered, since errors of a place repeat as long as one is there. The plan weighs cells: nobody
+stands in a wall. The networks learn from recordings of source sites in which access points fall silent and offsets
+drift by the minute, so that they do not learn the source's geometry by heart.
+
+Axes: B devices, A access points, C cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from fploc.conf import instantiate, read_conf
+from fploc.errors import FplocError
+from fploc.floorplan.plan import FloorPlan
+from fploc.intervals import Estimate, Intervals, NoFix, estimate
+from fploc.methods.bayes_grid import blurred
+from fploc.methods.belief_grid import posterior
+from fploc.methods.coarse_belief import (
+    SILENT,
+    CoarseBelief,
+    CoarseSettings,
+    CoarseState,
+    Heard,
+    table_errors_m,
+    tempered,
+)
+from fploc.methods.interface import Examples
+from fploc.methods.link_evidence import VIEWS
+from fploc.methods.range_lessons import LessonSettings, range_lessons, taught
+from fploc.models.range_error import RangeErrorNetwork, log_density
+from fploc.sites.site import Site
+
+NAME = "learned-grid"
+
+
+@dataclass(frozen=True)
+class LearnedGridSettings:
+    """Settings of the method: conf/method/learned-grid.yaml.
+
+    Args:
+        coarse: Of the grid, of the walk and of the coarse belief.
+        lessons: Of the network and its training.
+        blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
+        learned_share: Power of the learned likelihood beside the coarse one, 0 to 1.
+        correlation_s: For so long errors of ranges are taken for one error.
+        survey_m: Standard deviation per axis of what no belief can know, metres: the frame of access points
+            and plan.
+        calibration: That it runs with unless asked.
+    """
+
+    coarse: CoarseSettings
+    lessons: LessonSettings
+    blocked: float
+    learned_share: float
+    correlation_s: float
+    survey_m: float
+    calibration: str
+
+    @classmethod
+    def read(cls) -> LearnedGridSettings:
+        """Return the settings in conf/method/learned-grid.yaml."""
+        return instantiate(cls, read_conf("method", NAME), source=f"conf/method/{NAME}.yaml")
+
+
+class LearnedGrid:
+    """Learns how wrong ranges of source sites are.
+
+    Args:
+        settings: Of the method; None for those of conf/method/learned-grid.yaml.
+    """
+
+    name = NAME
+    learns_places = False
+
+    def __init__(self, settings: LearnedGridSettings | None = None) -> None:
+        self.settings = LearnedGridSettings.read() if settings is None else settings
+
+    @property
+    def default_calibration(self) -> str:
+        """Chosen with the other settings."""
+        return self.settings.calibration
+
+    def fitted(self, sources: Sequence[Examples]) -> LearnedGridFilter:
+        """Return the method that has learned from the readings of all sources.
+
+        Raises:
+            FplocError: If no reading has ground truth.
+        """
+        coarse = CoarseBelief(self.settings.coarse)
+        lessons = [range_lessons(one, coarse, self.settings.lessons) for one in sources]
+        known = [one for one in lessons if len(one.errors_m)]
+        if not known:
+            raise FplocError(
+                f"--method {NAME}",
+                value="no labelled reading to learn from",
+                expected="recordings with ground truth",
+                way_out="choose another method",
+            )
+        networks = [taught(known, view, self.settings.lessons) for view in VIEWS]
+        return LearnedGridFilter(self.settings, networks)
+
+
+@dataclass(frozen=True)
+class LearnedGridState:
+    """Beliefs of a batch of devices: the coarse one, and the one that estimates are made from, (B, X, Y)."""
+
+    coarse: CoarseState
+    beliefs: Tensor
+
+
+class LearnedGridFilter:
+    """The method that has learned. It is its own filter.
+
+    A device has a fix from its first reading on, be it of one access point: the covariance says how little
+    that is. An interval without a reading spreads the belief and stays without a fix.
+
+    Args:
+        settings: Of the method.
+        networks: Each says how wrong a range may be; their likelihoods are pooled evenly.
+        plan: Of the target; None where it has none.
+    """
+
+    name = NAME
+
+    def __init__(
+        self,
+        settings: LearnedGridSettings,
+        networks: Sequence[RangeErrorNetwork],
+        plan: FloorPlan | None = None,
+    ) -> None:
+        self.settings = settings
+        self.networks = tuple(networks)
+        self._plan = plan
+        self._coarse = CoarseBelief(settings.coarse)
+        self._errors_m = table_errors_m()
+
+    def for_speed(self, speed_prior_mps: float) -> LearnedGridFilter:
+        """Return the method for people who walk at about ``speed_prior_mps``."""
+        coarse = replace(self.settings.coarse, speed_prior_mps=speed_prior_mps)
+        return LearnedGridFilter(replace(self.settings, coarse=coarse), self.networks, self._plan)
+
+    def for_plan(self, plan: FloorPlan) -> LearnedGridFilter:
+        """Return the method for a site with this plan."""
+        return LearnedGridFilter(self.settings, self.networks, plan)
+
+    def init(self, site: Site, devices: int) -> LearnedGridState:
+        """Return uniform beliefs of ``devices`` devices."""
+        grid = self._coarse.grid(site)
+        if self._plan is not None:
+            grid = grid.weighted_by(self._plan, site, blocked=self.settings.blocked)
+        return LearnedGridState(CoarseState.before(grid, devices), grid.uniform(devices))
+
+    @torch.no_grad()
+    def step(self, state: LearnedGridState, intervals: Intervals) -> tuple[LearnedGridState, Estimate]:
+        """Move the belief of every device that is present, and multiply it by what was heard."""
+        grid = state.coarse.grid
+        coarse, heard = self._coarse.step(state.coarse, intervals)
+        hears = heard.heard.any(-1)
+        powers = torch.where(hears, tempered(heard.since_s, self.settings.correlation_s), 0.0)
+        moved = blurred(state.beliefs, heard.spreads)
+        updated = posterior(moved, powers[:, None] * (grid.plan_log + self._log_likelihoods(heard)))
+        beliefs = torch.where(intervals.present[:, None, None], updated, state.beliefs)
+        positions, covariances = grid.moments(beliefs)
+        unknowable = torch.eye(2, dtype=torch.float64) * self.settings.survey_m**2
+        reasons = torch.where(hears, int(NoFix.FIXED), int(NoFix.NO_READING))
+        return LearnedGridState(coarse, beliefs), estimate(positions, covariances + unknowable, reasons)
+
+    def _log_likelihoods(self, heard: Heard) -> Tensor:
+        """Return the pooled log-likelihood of the interval, shape (B, C)."""
+        links = heard.features.flatten(0, 1)
+        views = [log_density(network(links), self._errors_m) for network in self.networks]
+        tables = nn.functional.pad(torch.stack(views).mean(0), (0, 1))
+        bins = heard.error_bins
+        rows = torch.arange(len(tables), dtype=torch.int32).view(*bins.shape[:2], 1) * (SILENT + 1)
+        learned = tables.flatten().index_select(0, (bins + rows).flatten()).view(bins.shape).sum(1)
+        share = self.settings.learned_share
+        return share * learned + (1 - share) * heard.coarse_log

@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from fploc.errors import FplocError
+from fploc.floorplan.georeference import Georeference
+from fploc.floorplan.plan import FloorPlan
+from fploc.intervals import Estimate, Intervals, NoFix
+from fploc.methods.interface import Examples, Filtering, ReadsPlan, SourceFitted
+from fploc.methods.learned_grid import LearnedGrid, LearnedGridFilter, LearnedGridSettings
+from fploc.sites.site import AccessPoint, Site
+
+CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0), (4.0, 3.0)]
+SITE = Site(
+    name="box",
+    place="box",
+    access_points=tuple(
+        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
+        for index, (x, y) in enumerate(CORNERS)
+    ),
+    device_height_m=1.0,
+)
+READ = LearnedGridSettings.read()
+SETTINGS = replace(
+    READ,
+    coarse=replace(READ.coarse, margin_m=2.0),
+    lessons=replace(READ.lessons, learn_every=1, rows=4, hidden=16, fewest_steps=150),
+)
+FAINT_DBM, EXCESS_M = -85.0, 3.0
+ONE = torch.ones(2, dtype=torch.int64)
+"""Both walks are of one device."""
+
+
+def interval(positions: torch.Tensor, excess_m: torch.Tensor | None = None, t_s: float = 0.0) -> Intervals:
+    """Return what devices at positions (B, 2) hear; links with an excess (B, A) are faint."""
+    distances = torch.cdist(positions, torch.tensor(CORNERS, dtype=torch.float64))
+    excess = torch.zeros_like(distances) if excess_m is None else excess_m
+    rss = torch.where(excess > 0, FAINT_DBM, -40 - 20 * distances.clamp(min=1.0).log10())
+    return Intervals(
+        t_s=torch.full((len(positions),), t_s, dtype=torch.float64),
+        ranges=distances + excess,
+        stds=torch.full_like(distances, 0.1),
+        rss=rss,
+        heard=torch.ones_like(distances, dtype=torch.bool),
+        present=torch.ones(len(positions), dtype=torch.bool),
+    )
+
+
+def walked(seed: int, *, labelled: bool = True) -> Examples:
+    """Return two walks of 80 s in which one link in three is faint and 3 m too long for 8 s at a time."""
+    generator = torch.Generator().manual_seed(seed)
+    turns = torch.rand(2, 1, 2, generator=generator, dtype=torch.float64) * 6
+    phase = torch.arange(200, dtype=torch.float64)[None, :, None] * 0.02 + turns
+    truth = torch.cat([4 + 3.5 * phase[..., :1].cos(), 3 + 2.5 * phase[..., 1:].sin()], -1)
+    walled = torch.rand(10, 2, len(CORNERS), generator=generator).repeat_interleave(20, 0) < 1 / 3
+    rows = [interval(truth[:, k], EXCESS_M * walled[k], t_s=0.4 * k) for k in range(200)]
+    names = ("t_s", "ranges", "stds", "rss", "heard", "present")
+    intervals = Intervals(**{name: torch.stack([getattr(row, name) for row in rows]) for name in names})
+    labels = truth.transpose(0, 1)
+    return Examples(SITE, intervals, labels if labelled else torch.full_like(labels, torch.nan), ONE)
+
+
+@cache
+def learned() -> LearnedGridFilter:
+    return LearnedGrid(SETTINGS).fitted([walked(1)])
+
+
+def followed(method: LearnedGridFilter, examples: Examples) -> tuple[torch.Tensor, Estimate]:
+    """Return the errors of every interval, shape (T, B), and the last estimate."""
+    state = method.init(SITE, examples.labels.shape[1])
+    errors = []
+    for step in range(len(examples.labels)):
+        state, found = method.step(state, examples.at(step))
+        errors.append((found.positions - examples.labels[step]).norm(dim=-1))
+    return torch.stack(errors), found
+
+
+def walled_plan(blocked_from_x_m: float) -> FloorPlan:
+    """Return a plan of the box and 2 m around it, solid on the right of a line."""
+    walls = np.zeros((100, 120), dtype=bool)
+    walls[:, round((blocked_from_x_m + 2) * 10) :] = True
+    grey = np.where(walls, 0, 255).astype(np.uint8)
+    return FloorPlan("box", grey, walls, Georeference.of_raster([-2.0, 8.0], 0.1))
+
+
+def test_it_learns_from_sources_filters_itself_and_reads_plans() -> None:
+    assert isinstance(LearnedGrid(), SourceFitted) and not LearnedGrid().learns_places
+    assert isinstance(learned(), Filtering)
+    assert isinstance(learned(), ReadsPlan)
+
+
+def test_what_was_learned_beats_the_coarse_belief_on_a_walk_not_seen() -> None:
+    networks = learned().networks
+    errors, last = followed(learned(), walked(2))
+    coarse, _ = followed(LearnedGridFilter(replace(SETTINGS, learned_share=0.0), networks), walked(2))
+    assert last.fixed.all()
+    assert errors[20:].square().mean() < 0.8 * coarse[20:].square().mean()
+
+
+def test_the_stated_regions_hold_most_truths() -> None:
+    method, held = learned(), []
+    for seed in (3, 4):
+        examples, state = walked(seed), method.init(SITE, 2)
+        for step in range(len(examples.labels)):
+            state, found = method.step(state, examples.at(step))
+            away = (found.positions - examples.labels[step])[..., None]
+            held.append((away.mT @ torch.linalg.solve(found.covariances, away))[:, 0, 0] < 5.99)
+    assert torch.stack(held).double().mean() > 0.9
+
+
+def test_the_same_seed_learns_the_same_network() -> None:
+    again = LearnedGrid(SETTINGS).fitted([walked(1)])
+    made = interval(torch.tensor([[2.0, 2.5]], dtype=torch.float64))
+    one, other = (method.step(method.init(SITE, 1), made)[1] for method in (learned(), again))
+    assert torch.equal(one.positions, other.positions)
+    state = torch.random.get_rng_state()
+    LearnedGrid(SETTINGS).fitted([walked(1)])
+    assert torch.equal(state, torch.random.get_rng_state())
+
+
+def test_a_batch_is_the_devices_one_by_one() -> None:
+    places = torch.tensor([[1.0, 1.0], [7.0, 5.0], [4.0, 2.0]], dtype=torch.float64)
+    method = learned()
+    state, alone = method.init(SITE, 3), [method.init(SITE, 1) for _ in places]
+    for step in range(4):
+        made = interval(places + 0.1 * step, t_s=0.4 * step)
+        state, together = method.step(state, made)
+        for device, one in enumerate(alone):
+            own = interval(places[device : device + 1] + 0.1 * step, t_s=0.4 * step)
+            alone[device], found = method.step(one, own)
+            torch.testing.assert_close(found.positions[0], together.positions[device], atol=1e-9, rtol=0)
+
+
+def test_a_kept_state_goes_on_where_it_was() -> None:
+    method, place = learned(), torch.tensor([[5.0, 4.0]], dtype=torch.float64)
+    state = method.init(SITE, 1)
+    for step in range(3):
+        state, _ = method.step(state, interval(place, t_s=0.4 * step))
+    later = interval(place + 0.2, t_s=1.6)
+    one, other = method.step(state, later)[1], method.step(state, later)[1]
+    assert torch.equal(one.positions, other.positions)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_access_points_make_a_wide_region_or_no_fix(count: int) -> None:
+    method, place = learned(), torch.tensor([[2.0, 2.0]], dtype=torch.float64)
+    whole = interval(place)
+    few = replace(whole, heard=torch.arange(len(CORNERS))[None] < count)
+    _, found = method.step(method.init(SITE, 1), few)
+    _, sure = method.step(method.init(SITE, 1), whole)
+    assert found.reasons.tolist() == [NoFix.NO_READING if count == 0 else NoFix.FIXED]
+    if count:
+        assert found.covariances[0].trace() > 2 * sure.covariances[0].trace()
+
+
+def test_silence_widens_the_region() -> None:
+    method, place = learned(), torch.tensor([[2.0, 2.0]], dtype=torch.float64)
+    state, _ = method.step(method.init(SITE, 1), interval(place))
+    soon = method.step(state, replace(interval(place, t_s=0.1), heard=torch.arange(5)[None] == 0))[1]
+    late = method.step(state, replace(interval(place, t_s=20.0), heard=torch.arange(5)[None] == 0))[1]
+    assert late.covariances[0].trace() > soon.covariances[0].trace()
+
+
+def test_nobody_is_put_into_a_wall() -> None:
+    method = learned()
+    at_the_wall = torch.tensor([[4.9, 1.5]], dtype=torch.float64)
+    made = interval(at_the_wall, torch.full((1, len(CORNERS)), 0.4, dtype=torch.float64))
+    free = method.step(method.init(SITE, 1), made)[1].positions[0, 0]
+    walled = method.for_plan(walled_plan(blocked_from_x_m=5.0))
+    beside = walled.step(walled.init(SITE, 1), made)[1].positions[0, 0]
+    assert beside < free
+    assert (beside - 4.9).abs() < 1.0
+
+
+def test_a_speed_is_taken() -> None:
+    assert learned().for_speed(1.4).settings.coarse.speed_prior_mps == 1.4
+    assert learned().for_plan(walled_plan(5.0)).for_speed(1.4).settings == learned().for_speed(1.4).settings
+
+
+def test_without_ground_truth_it_says_what_is_missing() -> None:
+    with pytest.raises(FplocError, match="--method learned-grid: found no labelled reading"):
+        LearnedGrid(SETTINGS).fitted([walked(1, labelled=False)])
