@@ -52,8 +52,8 @@ results: install ## Write docs/results.md from finished runs of the presets full
 	@$(BIN)/fploc bench --site shopping-mall --preset full --data-root $(DATA) --runs $(RUNS) --json > $(RUNS)/bench.json
 	@$(BIN)/python -m fploc.experiments.results_docs $(RUNS) docs
 
-describe: install ## Count what the packed sites hold and draw them
-	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/overlays
+describe: install ## Count what the packed sites hold and write their data cards
+	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/data-cards
 
 lock: install ## Resolve the ranges of pyproject.toml anew and write constraints.txt
 	@$(BIN)/python -m pip install --quiet --upgrade -e '.[all,dev]'
