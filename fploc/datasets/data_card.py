@@ -82,26 +82,36 @@ def write_cards(data_root: Path, sites: Sequence[str], out: Path) -> list[Path]:
 
 def site_figures(packed: PackedSite, errors: LinkErrors) -> dict[str, Figure]:
     """Return the pictures of a site's card by the endings of their names, ``PICTURES``."""
-    site, recordings = packed.site, packed.recordings()
-    names = [f"device {one.device}, {one.name}" for one in recordings]
-    shares = np.array([one.heard.mean(axis=0) for one in recordings])
+    site = packed.site
     devices = {
         f"device {device}": measured_values(packed, device)
-        for device in sorted({one.device for one in recordings})
+        for device in sorted({one.device for one in packed.recordings()})
     }
     return {
         "": overlay(packed),
         "-values": plot_measured_values(devices, site.name, made_up=site.made_up),
         "-walls": plot_errors_by_walls(errors.error_m, errors.walls, site.name, made_up=site.made_up),
-        "-heard": plot_heard_shares(
-            names, [ap.name for ap in site.access_points], shares, site.name, made_up=site.made_up
-        ),
-        "-steps": plot_time_steps(
-            {name: one.t_s for name, one in zip(names, recordings, strict=True)},
-            site.name,
-            made_up=site.made_up,
-        ),
+        "-heard": heard_figure(packed),
+        "-steps": steps_figure(packed),
     }
+
+
+def heard_figure(packed: PackedSite) -> Figure:
+    """Return how often each access point is heard in each recording of a site."""
+    recordings, site = _titled(packed), packed.site
+    shares = np.array([one.heard.mean(axis=0) for one in recordings.values()])
+    names = [ap.name for ap in site.access_points]
+    return plot_heard_shares(list(recordings), names, shares, site.name, made_up=site.made_up)
+
+
+def steps_figure(packed: PackedSite) -> Figure:
+    """Return the time steps of each recording of a site."""
+    times = {name: one.t_s for name, one in _titled(packed).items()}
+    return plot_time_steps(times, packed.site.name, made_up=packed.site.made_up)
+
+
+def _titled(packed: PackedSite) -> dict[str, Recording]:
+    return {f"device {one.device}, {one.name}": one for one in packed.recordings()}
 
 
 def measured_values(packed: PackedSite, device: int) -> MeasuredValues:

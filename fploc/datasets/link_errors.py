@@ -11,13 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fploc.datasets.recordings import Floats, Recording
+from fploc.datasets.recordings import Bools, Floats, Recording
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.walls import wall_crossings
 from fploc.repair.readings import FAR_BEYOND_M
 from fploc.sites.site import Site
 
 Ints = NDArray[np.int64]
+
+IMPOSSIBLE_M = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,7 @@ class LinkErrors:
     Args:
         access_point: Index into ``Site.access_points``, shape (N,).
         t_s: Device time, shape (N,), seconds.
+        place_m: The label, shape (N, 2), metres, site frame.
         range_m: RTT range in space, no offset removed, shape (N,), metres.
         distance_m: Between label and access point in space, shape (N,), metres.
         rss_dbm: Received signal strength, shape (N,), dBm; 0 where unknown.
@@ -35,6 +38,7 @@ class LinkErrors:
 
     access_point: Ints
     t_s: Floats
+    place_m: Floats
     range_m: Floats
     distance_m: Floats
     rss_dbm: Floats
@@ -45,12 +49,18 @@ class LinkErrors:
         """Range minus distance, shape (N,), metres."""
         return self.range_m - self.distance_m
 
+    @property
+    def is_impossible(self) -> Bools:
+        """True where the range is shorter than the distance by more than any noise: the label must be wrong."""
+        return np.asarray(self.error_m < -IMPOSSIBLE_M, dtype=np.bool_)
+
     def of_access_point(self, index: int) -> LinkErrors:
         """Return the readings of one access point."""
         own = self.access_point == index
         return LinkErrors(
             access_point=self.access_point[own],
             t_s=self.t_s[own],
+            place_m=self.place_m[own],
             range_m=self.range_m[own],
             distance_m=self.distance_m[own],
             rss_dbm=self.rss_dbm[own],
@@ -78,6 +88,7 @@ def link_errors(site: Site, plan: FloorPlan, recordings: Sequence[Recording], la
     return LinkErrors(
         access_point=access_points,
         t_s=time[rows],
+        place_m=ends,
         range_m=slant[known],
         distance_m=distance,
         rss_dbm=rss[known],

@@ -52,6 +52,7 @@ def test_errors_are_in_space_and_walls_are_counted(plan: FloorPlan) -> None:
     assert errors.access_point.tolist() == [0, 1, 0, 1]
     assert errors.walls.tolist() == [0, 1, 1, 0]
     np.testing.assert_allclose(errors.distance_m[0], np.hypot(1.0, 1.0))
+    np.testing.assert_array_equal(errors.place_m[:2], [[2.0, 5.0], [2.0, 5.0]])
     repaired = link_errors(SITE, plan, [lap], "repaired")
     np.testing.assert_allclose(repaired.distance_m[0], np.sqrt(3.0))
 
@@ -76,3 +77,8 @@ def test_walls_make_ranges_of_a_made_up_building_longer(made_up_root: Path) -> N
     errors = link_errors(packed.site, packed.plan, packed.recordings(), "repaired")
     free, behind = errors.error_m[errors.walls == 0], errors.error_m[errors.walls >= 2]
     assert np.median(behind) > np.median(free) + 0.5
+
+
+def test_a_range_far_below_the_distance_is_impossible(plan: FloorPlan) -> None:
+    laps = [recording(np.array([[4.0, 5.0]]), error) for error in (-1.4, -1.6)]
+    assert link_errors(SITE, plan, laps, "published").is_impossible.tolist() == [False, False, True, True]
