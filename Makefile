@@ -44,8 +44,8 @@ ui: install ## Open the MLflow comparison on http://127.0.0.1:5000
 	@$(BIN)/mlflow server --backend-store-uri sqlite:///$(abspath $(RUNS))/mlflow.db \
 		--default-artifact-root $(abspath $(RUNS))/mlflow-artifacts --host 127.0.0.1 --port 5000 --workers 1
 
-notebooks: install ## Execute the notebooks on the results under runs/
-	@FPLOC_RUNS=$(abspath $(RUNS)) $(BIN)/python -m pytest --nbmake notebooks -o testpaths=notebooks
+notebooks: install ## Execute the notebooks on the packed sites and the results under runs/
+	@FPLOC_DATA=$(abspath $(DATA)) FPLOC_RUNS=$(abspath $(RUNS)) $(BIN)/python -m pytest --nbmake --nbmake-timeout=1200 notebooks -o testpaths=notebooks
 
 results: install ## Write docs/results.md from finished runs of the presets full and published
 	@$(BIN)/python benchmarks/virtual_stream.py --data-root $(DATA) --json > $(RUNS)/virtual-stream.json

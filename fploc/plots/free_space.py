@@ -37,7 +37,9 @@ def plot_free_space(plan: FloorPlan, site: Site, free: NDArray[np.bool_], *, tit
         np.ma.masked_equal(free, False), cmap="cool", vmin=0, vmax=1, alpha=OPACITY,
         extent=(left, right, bottom, top), interpolation="none",
     )  # fmt: skip
-    axes.plot(*site.positions_m.T, "*", color=AP_COLOUR, markersize=10, label="access points", linestyle="none")
+    axes.plot(
+        *site.positions_m.T, "*", color=AP_COLOUR, markersize=10, label="access points", linestyle="none"
+    )
     axes.fill([], [], color=colour(3), alpha=OPACITY, label="free space")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_title(f"{title} ({MADE_UP})" if site.made_up else title)

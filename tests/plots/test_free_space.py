@@ -14,7 +14,9 @@ def test_free_cells_lie_where_they_are_on_the_plan() -> None:
     plan = FloorPlan("drawn", grey, grey < 128, Georeference.of_raster((0.0, 5.0), 0.05))
     free = np.zeros((100, 200), dtype=np.bool_)
     free[:50] = True
-    site = Site("drawn", "drawn", (AccessPoint("AP1", "02:00:00:00:00:01", 5.0, 2.5, 2.0),), 1.0, made_up=True)
+    site = Site(
+        "drawn", "drawn", (AccessPoint("AP1", "02:00:00:00:00:01", 5.0, 2.5, 2.0),), 1.0, made_up=True
+    )
     (axes,) = plot_free_space(plan, site, free, title="drawn").axes
     drawn, cells = axes.images
     assert cells.get_extent() == drawn.get_extent() == pytest.approx((0.0, 10.0, 0.0, 5.0))
