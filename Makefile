@@ -45,8 +45,8 @@ ui: install ## Open the MLflow comparison on http://127.0.0.1:5000
 	@$(BIN)/mlflow server --backend-store-uri sqlite:///$(abspath $(RUNS))/mlflow.db \
 		--default-artifact-root $(abspath $(RUNS))/mlflow-artifacts --host 127.0.0.1 --port 5000 --workers 1
 
-notebooks: install ## Execute the notebooks on the results under runs/
-	@FPLOC_RUNS=$(abspath $(RUNS)) $(BIN)/python -m pytest --nbmake notebooks -o testpaths=notebooks
+notebooks: install ## Execute the notebooks on the packed sites and the results under runs/
+	@FPLOC_DATA=$(abspath $(DATA)) FPLOC_RUNS=$(abspath $(RUNS)) $(BIN)/python -m pytest --nbmake --nbmake-timeout=1200 notebooks -o testpaths=notebooks
 
 model: install ## Train the default method: what ships, and without each place (20 minutes)
 	@$(BIN)/fploc data build --data-root $(DATA) --sites $(MODEL_SITES)
@@ -57,8 +57,8 @@ results: install ## Write docs/results.md from finished runs of the presets full
 	@$(BIN)/fploc bench --site shopping-mall --preset full --data-root $(DATA) --runs $(RUNS) --json > $(RUNS)/bench.json
 	@$(BIN)/python -m fploc.experiments.results_docs $(RUNS) docs
 
-describe: install ## Count what the packed sites hold and draw them
-	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/overlays
+describe: install ## Count what the packed sites hold and write their data cards
+	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/data-cards
 
 lock: install ## Resolve the ranges of pyproject.toml anew and write constraints.txt
 	@$(BIN)/python -m pip install --quiet --upgrade -e '.[all,dev]'

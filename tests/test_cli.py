@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import time
@@ -12,6 +13,8 @@ import pytest
 import yaml
 
 from fploc.cli import main
+from fploc.datasets.build import build_sites
+from fploc.sites.made_up import made_up_site
 from fploc.sites.registry import load_spec
 
 FPLOC = Path(sys.executable).with_name("fploc")
@@ -22,6 +25,7 @@ COMMANDS = [
     ["data", "verify"],
     ["data", "build"],
     ["data", "describe"],
+    ["data", "archive"],
     ["made-up"],
     ["evaluate"],
     ["model"],
@@ -107,8 +111,8 @@ def test_refused_words_end_in_one_line(
             "reproduce;",
         ),
         (["fly"], "found 'fly', expected one of data, made-up, fit,"),
-        (["data"], "found no command, expected one of download, verify, build, describe;"),
-        (["data", "fly"], "found 'fly', expected one of download, verify, build, describe;"),
+        (["data"], "found no command, expected one of download, verify, build, describe, archive;"),
+        (["data", "fly"], "found 'fly', expected one of download, verify, build, describe, archive;"),
         (["evaluate"], "required: --method, --site;"),
         (["evaluate", "--method", "nls", "--site", "a", "--thin", "two"], "--thin: Expected a whole number."),
         (
@@ -250,8 +254,26 @@ def test_a_made_up_building_is_written_packed_and_described(
     assert (row["site"], row["state"]) == ("made-up-7", "built")
     assert main(["data", "describe", "--sites", "made-up-7", "--out", "pictures"]) == 0
     out, err = capsys.readouterr()
-    assert "made-up-7" in out and err == "picture: pictures/made-up-7.png\n"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["building", "data", "pictures"]
+    assert "made-up-7" in out and "written: pictures/index.html\n" in err
+    assert {path.name for path in (tmp_path / "pictures").iterdir()} >= {"made-up-7.png", "made-up-7.html"}
+    assert main(["data", "archive", "--out", "data.zip", "--json"]) == 0
+    archived = json.loads(capsys.readouterr().out)
+    assert archived["sites"] == ["made-up-7"] and len(archived["sha256"]) == 64
+    made = ["building", "data", "data.zip", "pictures"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == made
+
+
+def test_made_up_buildings_are_archived_only_where_asked_for(
+    data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "root"
+    shutil.copytree(data_root / "packed" / "library", root / "packed" / "library")
+    build_sites(None, root, [made_up_site(7, root / "files", laps=1, duration_s=20.0)])
+    words = ["data", "archive", "--data-root", str(root), "--out", str(tmp_path / "data.zip"), "--json"]
+    assert main(words) == 0
+    assert json.loads(capsys.readouterr().out)["sites"] == ["library"]
+    assert main([*words, "--sites", "made-up-7"]) == 0
+    assert json.loads(capsys.readouterr().out)["sites"] == ["made-up-7"]
 
 
 def test_an_interruption_ends_in_one_line(

@@ -1,17 +1,23 @@
-"""The generated parts of docs/data.md: the tables of ``fploc.schema`` and the known faults of the registry."""
+"""The generated parts of docs/data.md: tables of ``fploc.schema``, known faults of the registry, how to read."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping
+from typing import Any
 
+from fploc.datasets.pages import markdown_grid
+from fploc.datasets.reading_example import reading_example
 from fploc.schema import TABLES, Column, Table
 from fploc.sites.registry import FaultSpec, RepairSpec, known_sites, load_spec
 
 
 def refreshed(page: str) -> str:
     """Return ``page`` with the text between its markers ``<!-- columns: … -->``, ``<!-- end -->`` made anew."""
-    return _filled(_filled(page, "columns", _columns()), "faults", _faults())
+    parts = {"columns": _columns(), "faults": _faults(), "reading": _reading()}
+    for part, text in parts.items():
+        page = _filled(page, part, text)
+    return page
 
 
 def _filled(page: str, part: str, text: str) -> str:
@@ -25,24 +31,30 @@ def _columns() -> str:
 
 
 def _table(table: Table) -> str:
-    rows = [_column(column) for column in table.columns]
-    return (
-        f"### {table.name}\n{table.meaning[0].upper()}{table.meaning[1:]}; key: {', '.join(table.key)}.\n\n"
-        + _grid(("column", "dtype", "unit", "null", "range", "meaning"), rows)
-    )
+    meaning = f"{table.meaning[0].upper()}{table.meaning[1:]}"
+    return f"### {table.name}\n{meaning}; key: {', '.join(table.key)}.\n\n{markdown_grid(column_rows(table))}"
 
 
-def _column(column: Column) -> tuple[str, ...]:
+def column_rows(table: Table) -> list[dict[str, str]]:
+    """Return a row for each column of a table: name, type, unit, null rule, range, meaning."""
+    return [_column(column) for column in table.columns]
+
+
+def _column(column: Column) -> dict[str, str]:
     low = "" if column.minimum is None else f"≥ {column.minimum:g}"
     high = "" if column.maximum is None else f"≤ {column.maximum:g}"
-    return (
-        f"`{column.name}`",
-        column.dtype,
-        column.unit if column.unit != "1" else "",
-        "yes" if column.nullable else "no",
-        ", ".join(limit for limit in (low, high) if limit),
-        column.meaning,
-    )
+    return {
+        "column": f"`{column.name}`",
+        "dtype": column.dtype,
+        "unit": column.unit if column.unit != "1" else "",
+        "null": "yes" if column.nullable else "no",
+        "range": ", ".join(limit for limit in (low, high) if limit),
+        "meaning": column.meaning,
+    }
+
+
+def _reading() -> str:
+    return f"```python\n{reading_example('data/packed/office')}```\n"
 
 
 def _faults() -> str:
@@ -55,29 +67,28 @@ def _faults() -> str:
             faults.setdefault(fault, []).append(name)
         repairs += [(name, repair) for repair in spec.repairs.values()]
     fault_rows = [
-        (", ".join(sites), fault.where, fault.what, fault.verdict) for fault, sites in faults.items()
+        {"site": ", ".join(sites), "where": fault.where, "fault": fault.what, "what is done": fault.verdict}
+        for fault, sites in faults.items()
     ]
     repair_rows = [
-        (site, f"`{repair.name}`", _constants(repair), repair.origin.rstrip(".")) for site, repair in repairs
+        {
+            "site": site,
+            "repair": f"`{repair.name}`",
+            "constants": constants_text(repair.constants),
+            "origin": repair.origin.rstrip("."),
+        }
+        for site, repair in repairs
     ]
-    return (
-        _grid(("site", "where", "fault", "what is done"), fault_rows)
-        + "\nRepairs of labels, with their constants:\n\n"
-        + _grid(("site", "repair", "constants", "origin"), repair_rows)
-    )
+    return f"{markdown_grid(fault_rows)}\nRepairs of labels, with their constants:\n\n{markdown_grid(repair_rows)}"
 
 
-def _constants(repair: RepairSpec) -> str:
-    plain = [f"{key} {value}" for key, value in repair.constants.items() if not isinstance(value, dict)]
+def constants_text(constants: Mapping[str, Any]) -> str:
+    """Return the constants of a repair in one line."""
+    plain = [f"{key} {value}" for key, value in constants.items() if not isinstance(value, Mapping)]
     keyed = [
         f"{key}: {name} {entry}"
-        for key, value in repair.constants.items()
-        if isinstance(value, dict)
+        for key, value in constants.items()
+        if isinstance(value, Mapping)
         for name, entry in value.items()
     ]
     return "; ".join(plain + keyed)
-
-
-def _grid(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |\n" for line in lines)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fploc.datasets.packed import PackedSite, read_packed
@@ -84,7 +85,7 @@ def describe(data_root: Path, sites: Sequence[str]) -> list[SiteDescription]:
         HashMismatchError: If a packed file is not the one that was built.
         BadFileError: If a packed file breaks its contract.
     """
-    return [_site(read_packed(data_root, site)) for site in sites]
+    return [describe_packed(read_packed(data_root, site)) for site in sites]
 
 
 def table_rows(descriptions: Sequence[SiteDescription]) -> list[dict[str, str]]:
@@ -101,10 +102,19 @@ def write_overlays(data_root: Path, sites: Sequence[str], out: Path) -> list[Pat
     Raises:
         FplocError: If the pictures cannot be written, and as ``describe``.
     """
-    return [_write_overlay(read_packed(data_root, site), out) for site in track(sites, "overlays")]
+    return [
+        write_picture(overlay(read_packed(data_root, site)), out / f"{site}.png")
+        for site in track(sites, "overlays")
+    ]
 
 
-def _site(packed: PackedSite) -> SiteDescription:
+def overlay(packed: PackedSite) -> Figure:
+    """Return the plan of a site with its access points and a path of each device; see ``write_overlays``."""
+    return plot_site_overlay(packed.plan, packed.site, _paths(packed.recordings()))
+
+
+def describe_packed(packed: PackedSite) -> SiteDescription:
+    """Return what a packed site holds."""
     recordings = packed.recordings()
     return SiteDescription(
         site=packed.site.name,
@@ -166,25 +176,29 @@ def _row(site: SiteDescription, device: DeviceDescription) -> dict[str, str]:
         "minutes": f"{device.duration_s / 60:.1f}",
         "APs": f"{device.access_points} of {site.access_points}",
         "readings": f"{device.readings:,}",
-        "dropped sets": _reasons(device.dropped_sets),
-        "dropped readings": _reasons(device.dropped_readings),
-        "masked": _reasons(device.masked),
+        "dropped sets": reasons_text(device.dropped_sets),
+        "dropped readings": reasons_text(device.dropped_readings),
+        "masked": reasons_text(device.masked),
         "labels x (m)": "–" if box is None else f"{box[0]:.1f} … {box[2]:.1f}",
         "labels y (m)": "–" if box is None else f"{box[1]:.1f} … {box[3]:.1f}",
         "repair (m)": "–" if shift is None else f"{shift:.2f}",
     }
 
 
-def _reasons(counts: dict[str, int]) -> str:
+def reasons_text(counts: Mapping[str, int]) -> str:
+    """Return counts by reason in one line, those of 0 left out."""
     named = [f"{reason.replace('_', ' ')} {count:,}" for reason, count in counts.items() if count]
     return "; ".join(named) if named else "0"
 
 
-def _write_overlay(packed: PackedSite, out: Path) -> Path:
-    figure = plot_site_overlay(packed.plan, packed.site, _paths(packed.recordings()))
-    target = out / f"{packed.site.name}.png"
+def write_picture(figure: Figure, target: Path) -> Path:
+    """Write a figure as PNG, in one move, and return its file.
+
+    Raises:
+        FplocError: If it cannot be written.
+    """
     try:
-        out.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         with whole(target) as part:
             figure.savefig(part, format="png", dpi=_DOTS_PER_INCH)
     except OSError as error:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from fploc.datasets.build import build_sites
 from fploc.datasets.download import UnreachableError, resolve_source
+from fploc.datasets.packed import packed_folder, packed_sites, read_manifest
 from fploc.datasets.source_files import split_by_presence
-from fploc.errors import FplocError
+from fploc.errors import FplocError, MissingFileError
 from fploc.evaluation.protocols import PUBLIC_SOURCE
 from fploc.progress import track
 from fploc.sites.made_up import made_up_site
@@ -61,6 +62,26 @@ def prepare_world(data_root: Path, given: Path | None, others: Sequence[str]) ->
     for site in track(present, "build"):
         build_sites(source, data_root, [site])
     return World(PUBLIC_SOURCE, tuple(site for site in present if site != PUBLIC_SOURCE), made_up=False)
+
+
+def packed_world(data_root: Path) -> World:
+    """Return what is packed already: the public sites, or made-up buildings where the public source is not there.
+
+    Raises:
+        MissingFileError: If nothing is packed.
+    """
+    names = packed_sites(data_root)
+    made_up = {name: read_manifest(packed_folder(data_root, name))["made_up"] for name in names}
+    is_public = PUBLIC_SOURCE in names
+    sites = [name for name in names if made_up[name] != is_public]
+    if not sites:
+        raise MissingFileError(
+            packed_folder(data_root, PUBLIC_SOURCE),
+            expected=f"{PUBLIC_SOURCE}, which everything is learned on",
+            way_out="build it with `fploc data build`",
+        )
+    source = PUBLIC_SOURCE if is_public else sites[0]
+    return World(source, tuple(name for name in sites if name != source), made_up=not is_public)
 
 
 def _no_data_notice(reason: str) -> str:

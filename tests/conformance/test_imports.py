@@ -22,6 +22,8 @@ HOMES = {
     # Beyond the plots, `Figure` is a type in modules that hand figures on or write them.
     "matplotlib": {
         "fploc.plots",
+        "fploc.datasets.data_card",
+        "fploc.datasets.describe",
         "fploc.evaluation.run_log",
         "fploc.experiments.figures",
         "fploc.experiments.reproduce",

@@ -12,9 +12,26 @@ import pandas as pd
 import pytest
 
 from fploc.datasets.build import build_sites
-from fploc.datasets.croissant import CITATION, FILE_NAME, validate_croissant, write_croissant
+from fploc.datasets.croissant import FILE_NAME, validate_croissant, write_croissant
+from fploc.datasets.origin import AUTHORS, CITATION
+from fploc.datasets.packed import packed_folder
 from fploc.errors import BadFileError, MissingFileError
-from fploc.schema import TABLES, Table
+from fploc.schema import SCHEMA_VERSION, TABLES, Table
+
+SITE = {
+    "name": "office",
+    "made_up": False,
+    "description": "The office floor.",
+    "faults": [{"where": "lab3", "what": "No AP3.", "verdict": "kept"}],
+    "repairs": {"seam": {"kind": "seam", "constants": {}, "origin": "fitted to turns"}},
+}
+MANIFEST = {
+    "schema_version": SCHEMA_VERSION,
+    "files": {},
+    "made_up": False,
+    "sources": [{"path": "0bdeb2a/Office with One UE/circle1/lab1_mod.csv"}],
+    "totals": {"device1": {"intervals": 3, "rows": 5}},
+}
 
 
 def table_of(table: Table, rows: int) -> pd.DataFrame:
@@ -40,8 +57,8 @@ def folder(tmp_path: Path) -> Path:
     folder.mkdir()
     for table in TABLES:
         table_of(table, rows=3).to_parquet(folder / f"{table.name}.parquet", index=False)
-    (folder / "site.json").write_text(json.dumps({"name": "office", "made_up": False}))
-    (folder / "manifest.json").write_text("{}")
+    (folder / "site.json").write_text(json.dumps(SITE))
+    (folder / "manifest.json").write_text(json.dumps(MANIFEST))
     return folder
 
 
@@ -93,9 +110,36 @@ def test_files_carry_their_hash_and_only_present_ones_are_named(folder: Path) ->
 def test_licence_and_authors_are_named_and_a_made_up_building_cites_nobody(folder: Path) -> None:
     measured = json.loads(write_croissant(folder).read_text())
     assert measured["citeAs"] == CITATION and "MIT" in measured["license"]
-    (folder / "site.json").write_text(json.dumps({"name": "office", "made_up": True}))
+    assert [one["name"] for one in measured["creator"]] == [" ".join(name) for name in AUTHORS]
+    (folder / "manifest.json").write_text(json.dumps(MANIFEST | {"made_up": True}))
     made_up = json.loads(write_croissant(folder).read_text())
-    assert "citeAs" not in made_up and "no measurement" in made_up["description"]
+    assert "citeAs" not in made_up and "creator" not in made_up
+    assert "no measurement" in made_up["description"]
+
+
+def test_faults_repairs_and_what_was_kept_are_told(folder: Path) -> None:
+    metadata = json.loads(write_croissant(folder).read_text())
+    assert metadata["rai:dataLimitations"] == "lab3: No AP3. (kept)"
+    assert metadata["rai:dataPreprocessingProtocol"].startswith("3 of 5 reading sets kept;")
+    assert metadata["rai:dataPreprocessingProtocol"].endswith("seam: fitted to turns")
+    assert metadata["rai:dataCollection"] == "The office floor."
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+def test_a_packed_made_up_building_is_loaded_record_by_record(made_up_root: Path, table: Table) -> None:
+    import mlcroissant
+
+    site = packed_folder(made_up_root, "made-up-5")
+    validate_croissant(site)
+    expected = pd.read_parquet(site / f"{table.name}.parquet")
+    records = list(mlcroissant.Dataset(jsonld=site / FILE_NAME).records(table.name))
+    assert len(records) == len(expected) > 0
+    name = "range_m" if table.name == "device_links" else table.key[-1]
+    found = [record[f"{table.name}/{name}"] for record in records]
+    if name == "mac":
+        assert [value.decode() for value in found] == expected[name].tolist()
+    else:
+        np.testing.assert_array_equal(np.array(found, float), expected[name].to_numpy(float))
 
 
 def test_a_missing_table_is_named_and_nothing_is_written(folder: Path) -> None:
@@ -105,9 +149,18 @@ def test_a_missing_table_is_named_and_nothing_is_written(folder: Path) -> None:
     assert not list(folder.glob(f"{FILE_NAME}*"))
 
 
-def test_an_unreadable_site_is_named(folder: Path) -> None:
-    (folder / "site.json").write_text("[")
-    with pytest.raises(BadFileError, match=r"site\.json"):
+@pytest.mark.parametrize("text", ["[", "{}", "[]"])
+@pytest.mark.parametrize("name", ["site.json", "manifest.json"])
+def test_an_unreadable_site_is_named(folder: Path, name: str, text: str) -> None:
+    (folder / name).write_text(text)
+    with pytest.raises(BadFileError, match=name.replace(".", r"\.")):
+        write_croissant(folder)
+
+
+@pytest.mark.parametrize("name", ["site.json", "manifest.json"])
+def test_a_folder_that_is_no_packed_site_is_named(folder: Path, name: str) -> None:
+    (folder / name).unlink()
+    with pytest.raises(MissingFileError, match="fploc data build"):
         write_croissant(folder)
 
 

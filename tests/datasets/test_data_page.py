@@ -26,7 +26,8 @@ def test_every_column_stands_on_the_page_with_its_meaning() -> None:
 
 def test_stale_parts_are_replaced_and_the_rest_is_kept() -> None:
     columns, faults = "<!-- columns: from here -->", "<!-- faults: from here -->"
-    page = f"before\n{columns}\nstale\n<!-- end -->\nbetween\n{faults}\n<!-- end -->\nafter\n"
+    reading = "<!-- reading: from here -->\nstale\n<!-- end -->"
+    page = f"before\n{columns}\nstale\n<!-- end -->\nbetween\n{faults}\n<!-- end -->\n{reading}\nafter\n"
     fresh = refreshed(page)
     assert fresh.startswith("before\n<!-- columns: from here -->\n### readings\n")
     assert "<!-- end -->\nbetween\n<!-- faults: from here -->\n| site |" in fresh
