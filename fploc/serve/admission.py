@@ -87,6 +87,11 @@ class DeviceClock:
         self.newest_ms = t_ms if self.newest_ms is None else max(self.newest_ms, t_ms)
         self.received_ms = received_ms
 
+    def withdraw(self, track: int, t_ms: float) -> None:
+        """Note that an interval waits no more and was not used."""
+        if track == self.track:
+            self._waiting.discard(t_ms)
+
     def use(self, track: int, t_ms: float) -> None:
         """Note that an interval is taken out of the queue for the state to see."""
         if track != self.track:

@@ -243,6 +243,15 @@ class SiteSession:
         insort(followed.waiting, queued, key=lambda one: one.order)
         self.waiting += 1
 
+    def withdraw(self, rows: Sequence[WaitingRow]) -> None:
+        """Take intervals out of the queue that could not be stored, as far as they still wait."""
+        for row in rows:
+            followed = self.devices[row.device]
+            kept = [one for one in followed.waiting if one.order != (row.track, row.t_ms)]
+            self.waiting -= len(followed.waiting) - len(kept)
+            followed.waiting = kept
+            followed.clock.withdraw(row.track, row.t_ms)
+
     def take(self) -> Batch | None:
         """Return the oldest waiting interval of each device, the longest waiting first; None without any."""
         ready = [name for name, followed in self.devices.items() if followed.waiting]
