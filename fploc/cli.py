@@ -287,7 +287,9 @@ def _serve_parser() -> ArgumentParser:
     parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")
     parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")
     parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
-    parser.add_argument("--settings", type=str, default="default", help="Limits and times: conf/serve/NAME.yaml.")
+    parser.add_argument(
+        "--settings", type=str, default="default", help="Limits and times: conf/serve/NAME.yaml."
+    )
     parser.add_argument("--host", type=str, default="127.0.0.1", help="Address to listen at.")
     parser.add_argument("--port", type=int, default=8000, help="Port to listen at; 0 takes a free one.")
     _add_database(parser)
@@ -313,7 +315,9 @@ def _token_parser() -> ArgumentParser:
     parser.add_argument("--name", type=str, default="token", help="What it is for.")
     parser.add_argument("--scope", type=str, default="upload", help="upload, read, admin; commas between.")
     parser.add_argument("--days", type=float, default=365.0, help="How long it is valid.")
-    parser.add_argument("--expire", type=str | None, default=None, help="Id of a token that ends now instead.")
+    parser.add_argument(
+        "--expire", type=str | None, default=None, help="Id of a token that ends now instead."
+    )
     _add_database(parser)
     return parser
 

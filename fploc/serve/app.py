@@ -146,9 +146,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         openapi_extra={
             "requestBody": {
                 "required": True,
-                "content": {
-                    "application/json": {"schema": {"$ref": "#/components/schemas/Measurements"}}
-                },
+                "content": {"application/json": {"schema": {"$ref": "#/components/schemas/Measurements"}}},
             }
         },
         responses={
@@ -194,9 +192,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         points = [_point(fix) for fix in fixes[:most]]
         if format == "csv":
             return Response(_csv(points), media_type="text/csv")
-        answer = DeviceTrack(
-            site=service.name, device=device, is_complete=len(fixes) <= most, points=points
-        )
+        answer = DeviceTrack(site=service.name, device=device, is_complete=len(fixes) <= most, points=points)
         return Response(answer.model_dump_json(), media_type="application/json")
 
     @app.delete("/v1/sites/{site}/devices/{device}", dependencies=may_manage, status_code=204)
@@ -391,9 +387,7 @@ def _first_fault(errors: Sequence[Any]) -> str:
 def _schema(app: FastAPI) -> dict[str, Any]:
     """Return the OpenAPI document, with the message that is checked by hand, and the tokens."""
     if app.openapi_schema is None:
-        document = get_openapi(
-            title=app.title, version=app.version, summary=app.summary, routes=app.routes
-        )
+        document = get_openapi(title=app.title, version=app.version, summary=app.summary, routes=app.routes)
         _, definitions = models_json_schema(
             [(Measurements, "validation")], ref_template="#/components/schemas/{model}"
         )

@@ -6,11 +6,11 @@ is not known.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-VERSION = 1
+VERSION: Final = 1
 MOST_INTERVALS = 1000
 MOST_READINGS = 64
 MOST_LINKS = 64

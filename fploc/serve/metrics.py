@@ -32,9 +32,7 @@ class Metrics:
             ["site", "reason"],
             registry=self._registry,
         )
-        self.devices = Gauge(
-            "fploc_devices", "Devices that are followed", ["site"], registry=self._registry
-        )
+        self.devices = Gauge("fploc_devices", "Devices that are followed", ["site"], registry=self._registry)
         self.waiting = Gauge("fploc_waiting", "Reading sets that wait", ["site"], registry=self._registry)
         self.live = Gauge("fploc_live_connections", "Live connections", ["site"], registry=self._registry)
         self.accepted = Counter(

@@ -66,7 +66,9 @@ def served_site(data_root: Path, name: str, request: ModelRequest) -> ServedSite
     Raises:
         FplocError: If the site, the method, its artifact or its calibration cannot be used.
     """
-    asked = EvaluationRequest(PROTOCOL, name, speed_prior=request.speed_prior, preset=request.preset, seed=request.seed)
+    asked = EvaluationRequest(
+        PROTOCOL, name, speed_prior=request.speed_prior, preset=request.preset, seed=request.seed
+    )
     asked.check()
     packed = read_packed(data_root, name)
     method, offsets = _ready(asked, request, data_root)
@@ -78,9 +80,7 @@ def served_site(data_root: Path, name: str, request: ModelRequest) -> ServedSite
     return ServedSite(localizer, plan_place(packed), (packed.folder / PLAN).read_bytes())
 
 
-def _ready(
-    asked: EvaluationRequest, request: ModelRequest, data_root: Path
-) -> tuple[Method, RangeOffsets]:
+def _ready(asked: EvaluationRequest, request: ModelRequest, data_root: Path) -> tuple[Method, RangeOffsets]:
     if request.method in GEOMETRIC_METHODS:
         own = default_calibration(request.method) if request.calibration is None else request.calibration
         calibrated = EvaluationRequest(asked.protocol, asked.site, calibration=own)

@@ -22,9 +22,7 @@ class RefusedError(Exception):
     def __init__(self, status: int, reason: str, message: str, *, retry_after_s: int | None = None) -> None:
         super().__init__(message)
         self.status, self.reason, self.message = status, reason, message
-        self.headers: Mapping[str, str] = (
-            {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
-        )
+        self.headers: Mapping[str, str] = {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
         if status == 401:
             self.headers = {**self.headers, "WWW-Authenticate": "Bearer"}
 

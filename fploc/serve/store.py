@@ -139,7 +139,7 @@ class Store:
 
     def __init__(self, url: str) -> None:
         self._engine = _engine(url)
-        dialects = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
+        dialects: dict[str, Any] = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
         insert_of = dialects[self._engine.dialect.name]
         self._add_waiting = insert_of(WAITING).on_conflict_do_nothing()
         self._add_fixes = insert_of(FIXES).on_conflict_do_nothing()

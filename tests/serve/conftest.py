@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from fploc.calibration.offsets import RangeOffsets
 from fploc.datasets.recordings import Recording
 from fploc.filters.kalman import KalmanSettings
+from fploc.floorplan.georeference import Georeference
 from fploc.localizer import Localizer
 from fploc.methods.registry import geometric_method
+from fploc.serve.messages import PlanPlace
 from fploc.serve.settings import ServeSettings
+from fploc.serve.site_service import ServedSite, now_ms
+from fploc.serve.store import Store, sqlite_url
+from fploc.serve.tokens import make_token, scopes_of
 from fploc.sites.site import AccessPoint, Site
 
 BOX = Site(
@@ -64,3 +72,35 @@ def settings() -> ServeSettings:
 @pytest.fixture(scope="session")
 def localizer() -> Localizer:
     return Localizer(geometric_method("nls-onesided"), BOX, OFFSETS, KalmanSettings())
+
+
+@pytest.fixture(scope="session")
+def served(localizer: Localizer) -> ServedSite:
+    """The box, with a plan of 24 × 19 m at 10 pixels a metre, white."""
+    georeference = Georeference.of_raster((-2.0, 17.0), 0.1)
+    done, encoded = cv2.imencode(".png", np.full((190, 240), 255, dtype=np.uint8))
+    assert done
+    place = PlanPlace(
+        url="/v1/sites/box/plan.png",
+        width_px=240,
+        height_px=190,
+        metres_from_pixels=georeference.metres_from_pixels.tolist(),
+    )
+    return ServedSite(localizer, place, encoded.tobytes())
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    store = Store(sqlite_url(tmp_path))
+    yield store
+    store.close()
+
+
+@pytest.fixture
+def token_of(store: Store) -> Callable[[str], str]:
+    """Return what makes a token with some scopes."""
+
+    def token_of(scopes: str, days: float = 1.0) -> str:
+        return make_token(store, "test", scopes_of(scopes), days, now_ms())
+
+    return token_of
