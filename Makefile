@@ -14,7 +14,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks results describe lock wheel clean
+.PHONY: help install reproduce test lint ui notebooks results describe lock wheel demo soak clean
 
 help: ## List every target
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -53,6 +53,14 @@ results: install ## Write docs/results.md from finished runs of the presets full
 
 describe: install ## Count what the packed sites hold and draw them
 	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/overlays
+
+demo: install ## A made-up building, a server and four simulated phones on a map: http://127.0.0.1:8000
+	@$(BIN)/python -m fploc.serve.demo --folder $(RUNS)/demo
+
+soak: install ## Load the server for 5 minutes, then with 10 to 400 phones, and kill it 20 times (30 minutes)
+	@$(BIN)/python soak/load.py --devices 50 --seconds 300
+	@$(BIN)/python soak/load.py --devices 10,25,50,100,200,400 --seconds 60
+	@$(BIN)/python soak/kills.py --kills 20
 
 lock: install ## Resolve the ranges of pyproject.toml anew and write constraints.txt
 	@$(BIN)/python -m pip install --quiet --upgrade -e '.[all,dev]'

@@ -7,7 +7,6 @@ import csv
 import io
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import asdict
 from functools import partial
 from typing import Annotated, Any, Literal
 
@@ -338,7 +337,7 @@ def _description(service: SiteService, settings: ServeSettings) -> SiteDescripti
 
 
 def _point(fix: FixRow) -> TrackPoint:
-    values = asdict(fix)
+    values = vars(fix)
     return TrackPoint(**{name: values[name] for name in TRACK_COLUMNS})
 
 

@@ -14,7 +14,7 @@ import time
 from bisect import insort
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -330,7 +330,7 @@ class SiteSession:
                     received_ms=one.received_ms,
                     layout=self._states.layout,
                     state=state,
-                    fix="" if followed.fix is None else json.dumps(asdict(followed.fix)),
+                    fix="" if followed.fix is None else json.dumps(vars(followed.fix)),
                 )
             )
         return Outcome(fixes, rows)

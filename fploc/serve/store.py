@@ -6,7 +6,7 @@ SQLite in a file (write-ahead log) unless a URL names another database, for exam
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -188,14 +188,14 @@ class Store:
         Reading sets that a device's state has seen stop waiting in the same transaction as the state is stored.
         """
         latest = {(row.site, row.device): row for one in outcomes for row in one.devices}
-        fixes = [asdict(fix) for one in outcomes for fix in one.fixes]
+        fixes = [vars(fix) for one in outcomes for fix in one.fixes]
         with self._engine.begin() as connection:
             if received:
-                connection.execute(self._add_waiting, [asdict(row) for row in received])
+                connection.execute(self._add_waiting, [vars(row) for row in received])
             if fixes:
                 connection.execute(self._add_fixes, fixes)
             if latest:
-                connection.execute(self._set_devices, [asdict(row) for row in latest.values()])
+                connection.execute(self._set_devices, [vars(row) for row in latest.values()])
                 connection.execute(_USED, [_used(row) for row in latest.values()])
 
     def followed(self, site: str, since_ms: float) -> list[str]:
@@ -259,7 +259,7 @@ class Store:
     def add_token(self, token: TokenRow) -> None:
         """Store a token."""
         with self._engine.begin() as connection:
-            connection.execute(insert(TOKENS).values(**asdict(token)))
+            connection.execute(insert(TOKENS).values(**vars(token)))
 
     def token(self, token_id: str) -> TokenRow | None:
         """Return a token, None where there is none."""

@@ -32,7 +32,7 @@ DEVICE = DeviceRow("mall", "a", 0, "", 1000.125, 5.0, "layout", b"\x00\xff\x01",
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
     # Its socket's path must be short, and every user must get into the folder.
-    with tempfile.TemporaryDirectory(prefix="fploc-pg-", dir="/tmp") as folder:
+    with tempfile.TemporaryDirectory(prefix="fploc-") as folder:
         Path(folder).chmod(0o755)
         with databases.postgresql(Path(folder)) as url:
             yield url
