@@ -13,6 +13,7 @@ import re
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -106,7 +107,9 @@ def start_server(building: Building, port: int = 0) -> ServerProcess:
         line = process.stderr.readline().decode()
         found = re.search(r"http://127\.0\.0\.1:(\d+)", line)
         if found is not None:
-            return ServerProcess(process, int(found[1]))
+            # It listens before it answers: what comes meanwhile waits.
+            with urllib.request.urlopen(f"{found[0]}/readyz", timeout=STARTS_WITHIN_S):
+                return ServerProcess(process, int(found[1]))
         if process.poll() is not None:
             break
     raise RuntimeError(f"the server did not start: {line}")

@@ -144,6 +144,7 @@ function drawPlan(ratio) {
   context.transform(n[0][0] * s, -n[1][0] * s, n[0][1] * s, -n[1][1] * s,
     view.x + n[0][2] * s, view.y - n[1][2] * s);
   context.imageSmoothingEnabled = true;
+  context.globalAlpha = colours.isDark ? 0.8 : 1;
   context.drawImage(planPicture, -0.5, -0.5);
   context.restore();
 }
@@ -386,7 +387,7 @@ function drawCdf() {
     ink.fillText(`${share * 100} %`, 0, v(share) + 4);
   }
   for (let error = 0; error <= longest; error += Math.max(1, Math.round(longest / 4))) {
-    ink.fillText(`${error} m`, u(error) - 8, h - 6);
+    ink.fillText(`${error} m`, Math.min(u(error) - 8, w - 26), h - 6);
   }
   ink.strokeStyle = colours.truth; ink.lineWidth = 2;
   ink.beginPath(); ink.moveTo(left, bottom);
