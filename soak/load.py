@@ -53,7 +53,9 @@ async def phone(port: int, token: str, building: Building, index: int, until: fl
     return counts
 
 
-async def listen(port: int, token: str, building: Building, latencies_s: list[float]) -> None:
+async def listen(
+    port: int, token: str, building: Building, latencies_s: list[float], connected: asyncio.Event
+) -> None:
     """Note for every fix how long after its tick was due it came out."""
     latest: dict[str, float] = {}
     address = f"ws://127.0.0.1:{port}/v1/sites/{building.site.name}/live"
@@ -82,10 +84,16 @@ async def load(building: Building, process: ServerProcess, devices: int, seconds
     latencies_s: list[float] = []
     memory_mb: list[tuple[float, float]] = []
     reader = building.token("read")
+    connected = asyncio.Event()
     background = [
-        asyncio.create_task(listen(process.port, reader, building, latencies_s)),
+        asyncio.create_task(listen(process.port, reader, building, latencies_s, connected)),
         asyncio.create_task(watch(process, memory_mb)),
     ]
+    await asyncio.wait(
+        {background[0], asyncio.create_task(connected.wait())}, return_when=asyncio.FIRST_COMPLETED
+    )
+    if background[0].done():
+        await background[0]
     began, cpu_s = time.monotonic(), process.cpu_s()
     phones = [
         phone(process.port, token, building, index, began + seconds) for index, token in enumerate(tokens)

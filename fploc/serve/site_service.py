@@ -6,6 +6,7 @@ import asyncio
 import json
 import logging
 import time
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ from fploc.serve.writer import StoreWriter
 
 CLEAN_EVERY_S = 600.0
 STORE_WAIT_S = 10.0
+MOST_TICKS_UNSTORED = 10
 
 log = logging.getLogger("fploc.serve")
 
@@ -75,7 +77,7 @@ class SiteService:
         self._metrics = metrics
         self._ticking = asyncio.Lock()
         self._computer = ThreadPoolExecutor(1, thread_name_prefix="fploc-compute")
-        self._stored: Future[None] | None = None
+        self._storing: deque[Future[None]] = deque()
         self._clean_at = time.monotonic()
 
     @property
@@ -166,10 +168,8 @@ class SiteService:
         async with self._ticking:
             outcomes = await self._advance()
             if outcomes:
-                if self._stored is not None and not self._stored.done():
-                    # Where the store is slower than the ticks, these wait for it.
-                    await asyncio.wait({asyncio.wrap_future(self._stored)}, timeout=STORE_WAIT_S)
-                self._stored = self._writer.write([], outcomes)
+                await self._wait_for_the_store()
+                self._storing.append(self._writer.write([], outcomes))
             self.session.forget_silent(now_ms())
         self.live.publish(self.text(due_ms))
         for fix in (fix for outcome in outcomes for fix in outcome.fixes):
@@ -181,6 +181,13 @@ class SiteService:
         if time.monotonic() >= self._clean_at:
             self._clean_at = time.monotonic() + CLEAN_EVERY_S
             await asyncio.to_thread(self._store.forget_fixes, now_ms() - self.settings.keep_tracks_ms)
+
+    async def _wait_for_the_store(self) -> None:
+        """Wait where the store lags behind by many ticks, so that what it has still to write stays bounded."""
+        while self._storing and self._storing[0].done():
+            self._storing.popleft()
+        if len(self._storing) >= MOST_TICKS_UNSTORED:
+            await asyncio.wait({asyncio.wrap_future(self._storing[0])}, timeout=STORE_WAIT_S)
 
     async def _advance(self) -> list[Outcome]:
         """Advance round by round while the tick's share of time lasts."""
