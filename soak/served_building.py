@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 import re
 import subprocess
 import sys
@@ -74,18 +73,6 @@ class ServerProcess:
 
     process: subprocess.Popen[bytes]
     port: int
-
-    def memory_mb(self) -> float:
-        """Return its resident memory, megabytes."""
-        status = Path(f"/proc/{self.process.pid}/status").read_text()
-        found = re.search(r"VmRSS:\s+(\d+)", status)
-        assert found is not None
-        return int(found[1]) / 1024
-
-    def cpu_s(self) -> float:
-        """Return the processor time that it has used, seconds."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def kill(self) -> None:
         """End it at once: SIGKILL."""
