@@ -49,6 +49,7 @@ notebooks: install ## Execute the notebooks on the results under runs/
 
 results: install ## Write docs/results.md from finished runs of the presets full and published
 	@$(BIN)/python benchmarks/virtual_stream.py --data-root $(DATA) --json > $(RUNS)/virtual-stream.json
+	@$(BIN)/fploc bench --site shopping-mall --preset full --data-root $(DATA) --runs $(RUNS) --json > $(RUNS)/bench.json
 	@$(BIN)/python -m fploc.experiments.results_docs $(RUNS) docs
 
 describe: install ## Count what the packed sites hold and draw them

@@ -14,6 +14,7 @@ from fploc.datasets.packed import PackedSite, read_packed
 from fploc.datasets.path_parts import FITTED_SHARE, first_share, only
 from fploc.datasets.recordings import Recording
 from fploc.datasets.samples import LabelledIntervals, MeasuredIntervals
+from fploc.errors import FplocError
 from fploc.evaluation.protocols import EvaluationProtocol
 
 
@@ -58,15 +59,28 @@ class FirstPartDataModule(pl.LightningDataModule):
         self.packed = read_packed(self.data_root, self.site)
 
     def recordings(self, part: str) -> list[Recording]:
-        """Return what networks learn from (``train``) or are validated on (``validate``)."""
+        """Return what networks learn from (``train``) or are validated on (``validate``).
+
+        Raises:
+            FplocError: If no path there is known well enough to be cut.
+        """
         assert self.packed is not None, "setup() comes first"
         recordings = self.packed.recordings()
-        first = [self.protocol.parts(one, self.packed.site)[0] for one in recordings]
+        parts = self.protocol.parts(recordings, self.packed.site)
         index = {"train": 0, "validate": 1}[part]
         shares = [
-            first_share(mask, one, FITTED_SHARE)[index] for mask, one in zip(first, recordings, strict=True)
+            first_share(first, one, FITTED_SHARE)[index]
+            for (first, _), one in zip(parts, recordings, strict=True)
         ]
-        return only(recordings, shares)
+        found = only(recordings, shares)
+        if not found:
+            raise FplocError(
+                f"fine-tuning at {self.site}",
+                value="no recording whose path is known",
+                expected="ground truth along paths that can be cut into two parts",
+                way_out="choose another site or another protocol",
+            )
+        return found
 
     def streams(self, seed: int) -> dict[str, DataLoader[LabelledIntervals]]:
         """Return the stream of training batches in the order that ``seed`` gives."""

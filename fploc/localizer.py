@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from fploc.calibration.ranges import plan_ranges
 from fploc.datasets.recordings import PaddedRecordings, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.intervals import Estimate, Intervals, NoFix
-from fploc.methods.interface import Filtering, Method, Refining
+from fploc.methods.interface import Filtering, Method, Refining, Solving
 from fploc.methods.one_shot import Memoryless
 from fploc.progress import track
 from fploc.sites.site import Site
@@ -240,6 +240,8 @@ def _locate(localizer: Localizer, intervals: Intervals) -> Estimate:
         return _locate_together(localizer, intervals)
     if isinstance(method, Refining):
         return _locate_in_stages(localizer, method, intervals)
+    if isinstance(method, Solving):
+        return _solve_together(localizer, method, intervals)
     return _locate_in_turn(localizer, intervals)
 
 
@@ -263,6 +265,24 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
         )
         refined.append(method.refine(access_points, rows_at(rows, at), coarse_chunk))
     return joined(refined, steps, devices)
+
+
+def _solve_together(localizer: Localizer, method: Solving, intervals: Intervals) -> Estimate:
+    """Follow links through time, solve for all positions together."""
+    steps, devices = intervals.t_s.shape
+    state = method.init(localizer.site, devices)
+    followed = []
+    for step in range(steps):
+        state, one = method.follow(state, rows_at(intervals, step))
+        followed.append(one)
+    rows = {
+        field.name: torch.cat([getattr(one, field.name) for one in followed]) for field in fields(followed[0])
+    }
+    solved = [
+        method.solve(state.access_points, type(followed[0])(**{name: rows[name][at] for name in rows}))
+        for at in chunks(steps * devices, ROWS_AT_ONCE)
+    ]
+    return joined(solved, steps, devices)
 
 
 def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:

@@ -1,7 +1,8 @@
 """Two parts of each recording's path with a gap between them: one to learn from, one to test on (design §6).
 
-Parts are cut along the path, so that no tested interval lies within the gap of a learned one; labels are the
-repaired ones for every use of the parts.
+Parts are cut along the path. Where a path comes back to places of a first part, its own or another recording's,
+these are not tested: no tested interval lies within the gap of a learned one. Labels are the repaired ones for
+every use of the parts.
 
 Axes: T intervals.
 """
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from fploc.datasets.recordings import Recording
 from fploc.sites.site import Site
@@ -51,6 +53,31 @@ def sides(recording: Recording, site: Site) -> tuple[Bools, Bools]:
     x_m = site.positions_m[:, 0]
     beyond = recording.labels_m(LABELS)[:, 0] - (x_m.min() + x_m.max()) / 2
     return beyond < -GAP_M / 2, beyond > GAP_M / 2
+
+
+def apart(recordings: Sequence[Recording], parts: Sequence[tuple[Bools, Bools]]) -> list[tuple[Bools, Bools]]:
+    """Return first and second parts without what of the second ones lies within the gap of any first one.
+
+    Args:
+        recordings: Of one site.
+        parts: Of each, shape (T,) each.
+    """
+    places = [one.labels_m(LABELS) for one in recordings]
+    learned = np.concatenate([where[first] for where, (first, _) in zip(places, parts, strict=True)])
+    learned = learned[np.isfinite(learned).all(axis=1)]
+    if not learned.size:
+        return list(parts)
+    tree = KDTree(learned)
+    return [
+        (first, second & ~_near(tree, where)) for where, (first, second) in zip(places, parts, strict=True)
+    ]
+
+
+def _near(tree: KDTree, places: Floats) -> Bools:
+    """Return which places, shape (T, 2), lie within the gap of the tree's; the unknown ones do not."""
+    near: Bools = np.isfinite(places.sum(axis=1))
+    near[near] = tree.query(places[near])[0] <= GAP_M
+    return near
 
 
 def first_share(part: Bools, recording: Recording, share: float) -> tuple[Bools, Bools]:

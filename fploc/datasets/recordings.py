@@ -63,6 +63,17 @@ class Recording:
         """Return the intervals of a mask, shape (T,), at their own times."""
         return self._at(mask)
 
+    def hearing(self, heard: Bools) -> Recording:
+        """Return the recording with nothing but what ``heard`` allows, shape (T, A) or (A,)."""
+        heard = self.heard & heard
+        return replace(
+            self,
+            slant_m=np.where(heard, self.slant_m, 0.0),
+            std_m=np.where(heard, self.std_m, 0.0),
+            rss_dbm=np.where(heard, self.rss_dbm, 0.0),
+            heard=heard,
+        )
+
     def _at(self, kept: slice | Bools) -> Recording:
         return replace(
             self,

@@ -16,8 +16,9 @@ from fploc.files import whole
 from fploc.localizer import Track
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
-_BY_INTERVAL = ("t_s", "unfiltered_m", "filtered_m")
+_BY_INTERVAL = ("t_s", "unfiltered_m", "filtered_m", "fixed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +33,7 @@ class ErrorSeries:
         unfiltered_m: Errors of the method's own fixes, shape (T,), metres.
         filtered_m: Errors behind the Kalman filter, shape (T,), metres; a method that filters by itself has
             no other filter behind it and both are equal.
+        fixed: True where the method has a fix of its own, shape (T,).
     """
 
     device: int
@@ -40,6 +42,7 @@ class ErrorSeries:
     t_s: Floats
     unfiltered_m: Floats
     filtered_m: Floats
+    fixed: Bools
 
 
 def error_series(track: Track, labels: str) -> ErrorSeries:
@@ -52,6 +55,7 @@ def error_series(track: Track, labels: str) -> ErrorSeries:
         t_s=track.t_s,
         unfiltered_m=held_error_series_m(track.unfiltered, truth),
         filtered_m=held_error_series_m(track.filtered or track.unfiltered, truth),
+        fixed=track.unfiltered.fixed,
     )
 
 
@@ -75,6 +79,7 @@ def write_error_series(series: Sequence[ErrorSeries], path: Path) -> None:
             t_s=arrays["t_s"],
             unfiltered_m=arrays["unfiltered_m"],
             filtered_m=arrays["filtered_m"],
+            fixed=arrays["fixed"],
         )
 
 
@@ -100,6 +105,7 @@ def read_error_series(path: Path) -> list[ErrorSeries]:
                     t_s=split["t_s"][index],
                     unfiltered_m=split["unfiltered_m"][index],
                     filtered_m=split["filtered_m"][index],
+                    fixed=split["fixed"][index],
                 )
                 for index, (device, recording, length) in enumerate(
                     zip(stored["device"], stored["recording"], stored["arc_length_m"], strict=True)

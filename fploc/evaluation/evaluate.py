@@ -149,8 +149,13 @@ def tracks_of(
     recordings = protocol_of(request.protocol, request.source).testing(target, request.device)
     removed = source_offsets(request, data_root) if offsets is None else offsets
     thinned = [one.thinned(request.thin) for one in recordings]
-    paced = method.for_speed(request.speed_prior) if isinstance(method, Filtering) else method
-    return localize(paced, target.site, thinned, removed, KalmanSettings.for_speed(request.speed_prior))
+    settings = KalmanSettings.for_speed(request.speed_prior)
+    return localize(paced(method, request.speed_prior), target.site, thinned, removed, settings)
+
+
+def paced(method: Method, speed_mps: float) -> Method:
+    """Return a method that expects such a speed, metres per second, where it is a filter itself."""
+    return method.for_speed(speed_mps) if isinstance(method, Filtering) else method
 
 
 def records_of(

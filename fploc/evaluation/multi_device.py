@@ -217,14 +217,7 @@ def labelled_at(recording: Recording, mask: Bools) -> Recording:
 
 def hearing_only(recording: Recording, columns: Sequence[int]) -> Recording:
     """Return a recording with nothing heard but access points of these columns of A."""
-    heard = recording.heard & np.isin(np.arange(recording.heard.shape[1]), columns)
-    return replace(
-        recording,
-        slant_m=np.where(heard, recording.slant_m, 0.0),
-        std_m=np.where(heard, recording.std_m, 0.0),
-        rss_dbm=np.where(heard, recording.rss_dbm, 0.0),
-        heard=heard,
-    )
+    return recording.hearing(np.isin(np.arange(recording.heard.shape[1]), columns))
 
 
 def _target(request: EvaluationRequest, data_root: Path) -> PackedSite:

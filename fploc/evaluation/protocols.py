@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fploc.datasets.packed import PackedSite
-from fploc.datasets.path_parts import halves, only, sides
+from fploc.datasets.path_parts import apart, halves, only, sides
 from fploc.datasets.recordings import Recording
 from fploc.datasets.splits import RecordingKey
 from fploc.errors import FplocError, UnknownNameError
@@ -130,12 +130,14 @@ class EvaluationProtocol:
         """Return the protocol whose artifacts are tested: that of two devices at once trains none of its own."""
         return "zero-shot" if self.name == "multi-device" else self.name
 
-    def parts(self, recording: Recording, site: Site) -> tuple[Bools, Bools]:
-        """Return which intervals to fine-tune on and which to test on, shape (T,) each.
+    def parts(self, recordings: Sequence[Recording], site: Site) -> list[tuple[Bools, Bools]]:
+        """Return which intervals of each recording to fine-tune on and which to test on, shape (T,) each.
 
         Halves of the path's length; in the source's own rooms the left and the right side, as in the paper.
+        Nothing is tested next to where any recording is learned from.
         """
-        return sides(recording, site) if site.name in MOVED_SITES else halves(recording)
+        moved = site.name in MOVED_SITES
+        return apart(recordings, [sides(one, site) if moved else halves(one) for one in recordings])
 
     def sources(self, target: Site, known: Sequence[Site]) -> list[str]:
         """Return the names of the sites that networks for ``target`` learn from, the source first.
@@ -182,7 +184,7 @@ class EvaluationProtocol:
         if self.tested is Tested.TEST_RECORDINGS:
             recordings = _chosen(target, target.splits.test)
         if self.tested is Tested.SECOND_PART:
-            recordings = only(recordings, [self.parts(one, target.site)[1] for one in recordings])
+            recordings = only(recordings, [second for _, second in self.parts(recordings, target.site)])
         found = [one for one in recordings if device in ("all", str(one.device))]
         if not found:
             there = sorted({str(one.device) for one in recordings})
@@ -265,21 +267,25 @@ def protocol_of(name: str, source: str = PUBLIC_SOURCE) -> EvaluationProtocol:
     )
 
 
+def can_pool(sources: Sequence[str]) -> bool:
+    """Return whether one of several sources can validate and another be learned from."""
+    return len(sources) > 1 and any(name in sources for name in VALIDATION_SITES)
+
+
 def validation_site(sources: Sequence[str]) -> str:
     """Return the one of several sources that validates.
 
     Raises:
         FplocError: If none of them may, or none would be left to learn from.
     """
-    validating = [name for name in VALIDATION_SITES if name in sources]
-    if len(sources) < 2 or not validating:
+    if not can_pool(sources):
         raise FplocError(
             "packed sites to learn from together",
             value=", ".join(sources),
             expected=f"at least two, one of them {' or '.join(VALIDATION_SITES)}",
             way_out="build more sites with `fploc data build`",
         )
-    return validating[0]
+    return next(name for name in VALIDATION_SITES if name in sources)
 
 
 def _chosen(packed: PackedSite, keys: Sequence[RecordingKey]) -> list[Recording]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.paper_numbers import paper_numbers, published
 from fploc.evaluation.records import Record, TrackedRecord
 from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
@@ -58,7 +59,7 @@ def comparison_rows(records: Sequence[TrackedRecord], *, labels: str) -> list[di
 
 
 def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
-    """Return the results of one preset as a Markdown page."""
+    """Return the results of one preset as a Markdown page; its studies stand in their records alone."""
     made_up = any(tracked.made_up for tracked in records)
     revisions = ", ".join(sorted({tracked.record.commit or "unknown" for tracked in records}))
     notice = (
@@ -82,8 +83,9 @@ def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
             if any(tracked.record.site == site for tracked in records)
         ),
     ]
+    shown = [one for one in records if not is_studied(one.record.condition)]
     for labels in ("repaired", "published"):
-        rows = comparison_rows(records, labels=labels)
+        rows = comparison_rows(shown, labels=labels)
         parts.append(f"\n## {labels.capitalize()} labels\n\n{markdown(rows)}")
     if not made_up:
         parts.append(f"\n## The paper's own numbers\n\n{markdown(_paper_rows())}")

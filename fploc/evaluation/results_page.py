@@ -5,7 +5,9 @@ Facts are what records cannot hold, as plain JSON values; every key may be missi
 - ``complexity``: rows of ``fploc.evaluation.complexity.complexity_rows``;
 - ``generator_match``: contents of ``match.json`` of each site (``fploc synthesize``);
 - ``chain_stages``: ``fploc.evaluation.chain_stages.chain_stages`` with ``protocol``, ``site`` and ``device``;
-- ``differences`` and ``recordings``: rows of ``fploc.evaluation.certainty`` with ``protocol`` and ``site``;
+- ``differences``, ``against_best`` and ``recordings``: rows of ``fploc.evaluation.certainty`` with ``protocol``
+  and ``site``;
+- ``timings``: rows of ``fploc bench``;
 - ``training_cost``: rows of ``stage``, ``seconds`` and, where known, ``links`` and ``preset``;
 - ``virtual_rates``: links per second by name of the networks;
 - ``ablations``: why each was made, by its name.
@@ -19,6 +21,7 @@ from statistics import mean, stdev
 from typing import Any
 
 from fploc.evaluation.chain_stages import STAGES
+from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.generator_match import printed_rows
 from fploc.evaluation.paper_comparison import NOT_RUN, comparison_sections, cost_rows, worse_sentences
 from fploc.evaluation.records import TrackedRecord
@@ -32,6 +35,7 @@ from fploc.evaluation.relative_figures import (
 )
 from fploc.evaluation.report import REAL_PLAN, SHARED_FLOOR, variant_of
 from fploc.evaluation.selection import UNFILTERED, RecordBook, Slot
+from fploc.evaluation.study_tables import study_sections
 from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
 
 Facts = Mapping[str, Any]
@@ -74,12 +78,14 @@ def results_page(records: Sequence[TrackedRecord], facts: Facts, *, preset: str 
         **({} if made_up else beside_paper),
         "How sure the differences are": _certainty(facts),
         "All methods": _comparison(book),
+        **study_sections(book),
         "Stage by stage": _stages(facts),
         "What the plan is worth": _plans(book),
         "Ablations": _ablations(book, facts),
         "Generated and measured data": _generator(facts),
         "Published widths": _published_widths(records),
         "Complexity": _complexity(book, facts),
+        "Time of a fix": _timings(facts),
         "Cost of training": _training(facts),
     }
     body = "".join(f"\n## {title}\n\n{text.strip()}\n" for title, text in sections.items())
@@ -157,18 +163,6 @@ def _relative(book: RecordBook) -> str:
 
 
 def _certainty(facts: Facts) -> str:
-    differences = [
-        {
-            "site": row["site"],
-            "device": str(row["device"]),
-            "method": row["method"],
-            f"RMSE minus that of {row['base']} [m]": _signed(row["rmse_m"]),
-            "95 % of resamples [m]": f"{_signed(row['low_m'])} to {_signed(row['high_m'])}",
-            f"recordings in which {row['base']} is better": f"{row['recordings_below']} of {row['recordings']}",
-        }
-        for row in facts.get("differences", ())
-        if row["protocol"] == SHOWN_PROTOCOL
-    ]
     recordings = [
         {
             "site": row["site"],
@@ -185,9 +179,32 @@ def _certainty(facts: Facts) -> str:
     return (
         f"{SHOWN_PROTOCOL.capitalize()}, first seed, with filter, repaired labels; other protocols stand in "
         "`results-facts.json`. Blocks of 30 s are resampled: errors that follow one another are alike.\n\n"
-        f"{markdown(differences) or _not_run()}\n"
+        f"### Against `{OURS}`\n\n{markdown(_differences(facts, 'differences')) or _not_run()}\n"
+        "### Against the best at each place\n\nThe best is picked after the fact. The last columns are of the "
+        "intervals in which both methods have a fix of their own.\n\n"
+        f"{markdown(_differences(facts, 'against_best')) or _not_run()}\n"
         f"### Recordings\n\nRMSE of each recording by itself, then the mean.\n\n{markdown(recordings) or _not_run()}"
     )
+
+
+def _differences(facts: Facts, name: str) -> Rows:
+    return [
+        {
+            "site": row["site"],
+            "device": str(row["device"]),
+            "method": row["method"],
+            "against": row["base"],
+            "difference in RMSE [m]": _signed(row["rmse_m"]),
+            "95 % of resamples [m]": f"{_signed(row['low_m'])} to {_signed(row['high_m'])}",
+            "recordings in which it is worse": f"{row['recordings_below']} of {row['recordings']}",
+            "both with a fix": UNKNOWN
+            if row["common_share"] is None
+            else f"{100 * row['common_share']:.0f} %",
+            "RMSE there [m]": f"{_plain(row['common_m'])}, {_plain(row['common_base_m'])}",
+        }
+        for row in facts.get(name, ())
+        if row["protocol"] == SHOWN_PROTOCOL
+    ]
 
 
 def _comparison(book: RecordBook) -> str:
@@ -331,7 +348,11 @@ def _published_widths(records: Sequence[TrackedRecord]) -> str:
                     "ms a fix, in a batch": book.text(replace(slot, filters=UNFILTERED), "ms_per_fix"),
                 }
             )
-    thinned = f", every {book.thin}th interval" if book.thin > 1 else ""
+    thinned = (
+        f", every {book.thin}th interval (a robot {book.thin} times as fast, which the filter cannot follow)"
+        if book.thin > 1
+        else ""
+    )
     return (
         f"Networks of the published widths, trained once on the office, one seed{thinned}; RMSE, repaired labels "
         f"unless said. What the training cost stands in the last table.\n\n{markdown(rows) or _not_run()}"
@@ -363,6 +384,24 @@ def _complexity(book: RecordBook, facts: Facts) -> str:
     )
 
 
+def _timings(facts: Facts) -> str:
+    rows = [
+        {
+            "method": row["method"],
+            "threads": str(row["threads"]),
+            "devices at once": str(row["batch"]),
+            "median [ms]": f"{row['median_ms']:.3f}",
+            "90 % [ms]": f"{row['p90_ms']:.3f}",
+        }
+        for row in facts.get("timings", ())
+    ]
+    return (
+        "Of one device, by `fploc bench`, all methods in one run on this machine, at least 1,000 fixes each; of "
+        "several devices at once, each one's share. Methods without the filter behind them, which has rows of its "
+        f"own.\n\n{markdown(rows) or _not_run()}"
+    )
+
+
 def _training(facts: Facts) -> str:
     rows = [
         {
@@ -378,7 +417,11 @@ def _training(facts: Facts) -> str:
 
 def _pivot(book: RecordBook, like: Slot, cell: Cell) -> Rows:
     """Return methods, and conditions where there are any, by places."""
-    conditions = dict.fromkeys(one.condition for one in book.records if one.protocol == like.protocol)
+    conditions = dict.fromkeys(
+        one.condition
+        for one in book.records
+        if one.protocol == like.protocol and not is_studied(one.condition)
+    )
     slots = [slot for condition in conditions for slot in book.slots(replace(like, condition=condition))]
     places = sorted({(slot.site, slot.device) for slot in slots})
     with_conditions = any(slot.condition for slot in slots)

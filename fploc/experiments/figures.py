@@ -4,6 +4,7 @@ A name begins with the kind of figure and goes on with protocol and site:
 
 - ``cdf`` all methods, ``cdf-stages`` the four stages of the chain, ``bars`` RMSE of a protocol;
 - ``stages`` the chain's trajectories, ``crop`` and ``attention`` of one link;
+- ``access-points`` RMSE of all methods over their number, of each device;
 - ``split`` what is learned from and what is tested on, ``devices`` the paths of two devices.
 """
 
@@ -12,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
@@ -20,13 +22,16 @@ from matplotlib.figure import Figure
 from fploc.datasets.packed import PackedSite
 from fploc.datasets.recordings import Recording
 from fploc.evaluation.chain_stages import STAGES, ChainTrack
+from fploc.evaluation.conditions import ACCESS_POINTS, AS_IS, varied
 from fploc.evaluation.error_series import ErrorSeries, pooled_errors_m
 from fploc.evaluation.metrics import Floats
 from fploc.evaluation.paper_numbers import published
 from fploc.evaluation.protocols import EvaluationProtocol, Tested
 from fploc.evaluation.records import TrackedRecord
+from fploc.evaluation.selection import FILTERED
 from fploc.files import whole
 from fploc.methods.gnn_fpdnn import GNNFPDNN
+from fploc.plots.access_points import plot_access_points
 from fploc.plots.attention import plot_attention
 from fploc.plots.bars import RmseRow, plot_rmse_bars
 from fploc.plots.crop_preparation import plot_crop_preparation
@@ -79,17 +84,23 @@ class Place:
         return self.target.site.made_up
 
 
-def write_figures(places: Sequence[Place], records: Sequence[TrackedRecord], folder: Path) -> list[Path]:
+def write_figures(
+    places: Sequence[Place],
+    records: Sequence[TrackedRecord],
+    studied: Sequence[TrackedRecord],
+    folder: Path,
+) -> list[Path]:
     """Write all figures of a preset as PNG, each in one move, and return their files.
 
     Args:
         places: Everything that was scored.
         records: Plain records, for the bars (``fploc.evaluation.report.headline_records``).
+        studied: Records of studies (``fploc.evaluation.conditions``).
         folder: Where they go.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = []
-    for name, figure in _all_figures(places, records):
+    for name, figure in (*_all_figures(places, records), *access_point_figures(studied)):
         file = folder / f"{name}.png"
         with whole(file) as part:
             figure.savefig(part, format="png", dpi=DOTS_PER_INCH)
@@ -121,6 +132,24 @@ def rmse_rows(records: Sequence[TrackedRecord], protocol: str, *, filtered: bool
         for one in (tracked.record for tracked in records)
         if (one.protocol, one.labels) == (protocol, LABELS) and one.filter in filters
     ]
+
+
+def access_point_figures(studied: Sequence[TrackedRecord]) -> Named:
+    """Yield the RMSE of every method over the number of access points, filtered, of each device of each site."""
+    groups: dict[tuple[str, int, bool], dict[str, dict[int, float]]] = {}
+    for tracked in studied:
+        one = tracked.record
+        study, value = varied(one.condition)
+        shown = one.labels == LABELS and one.filter in FILTERED and one.rmse_m is not None
+        if study == ACCESS_POINTS and value != AS_IS and shown:
+            methods = groups.setdefault((one.site, one.device, tracked.made_up), {})
+            # A method that filters by itself comes first, and stays.
+            methods.setdefault(one.method, {}).setdefault(int(value), cast(float, one.rmse_m))
+    for (site, device, made_up), rmse_m in groups.items():
+        figure = plot_access_points(
+            rmse_m, f"zero-shot, {site}, device {device}, {LABELS} labels", made_up=made_up
+        )
+        yield f"access-points--{site}--device{device}", figure
 
 
 def cdf_figures(place: Place) -> Named:
@@ -185,12 +214,11 @@ def split_figure(place: Place) -> Figure | None:
             for use, part in (("trains", "train"), ("validates", "validate"), ("tests", "test"))
         }
     elif place.protocol.tested is Tested.SECOND_PART:
-        masks = [place.protocol.parts(one, target.site) for one in recordings]
-        pairs = list(zip(recordings, masks, strict=True))
+        pairs = list(zip(recordings, place.protocol.parts(recordings, target.site), strict=True))
         parts = {
             "fine-tunes": [_only(one, first) for one, (first, _) in pairs],
             "tests": [_only(one, second) for one, (_, second) in pairs],
-            "left out between": [_only(one, ~(first | second)) for one, (first, second) in pairs],
+            "left out": [_only(one, ~(first | second)) for one, (first, second) in pairs],
         }
     else:
         return None

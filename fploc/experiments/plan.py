@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from fploc.evaluation.protocols import POOLED_SITES, Targets, protocol_of
+from fploc.evaluation.protocols import POOLED_SITES, Targets, can_pool, protocol_of
 from fploc.experiments.preset import VARIANT, Preset
+from fploc.sites.site import Site
 
 LEARNED_METHODS = ("gnn", "gnn-fpdnn")
 SEES_THE_PLAN = "gnn-fpdnn"
@@ -19,6 +20,7 @@ COMPARED_EVERYWHERE = ("trilateration", "nls-onesided", *LEARNED_METHODS)
 """Rivals learn nothing of a target, so that all of them are compared under two protocols; in the other ones the
 paper's and the strongest one without learning stand beside the networks."""
 WITH_ALL_RIVALS = (SEEN, ZERO_SHOT)
+CALIBRATIONS, EQUIPMENT = "calibrations", "equipment"
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ class Scoring:
         ablation: What was changed in it; empty for nothing.
         plan: That the method sees.
         thin: Every so many-th interval.
+        study: What is varied around it, ``CALIBRATIONS`` or ``EQUIPMENT``; empty for nothing.
     """
 
     method: str
@@ -65,6 +68,7 @@ class Scoring:
     ablation: str = ""
     plan: str = HEADLINE_PLAN
     thin: int = 1
+    study: str = ""
 
     @property
     def name(self) -> str:
@@ -73,6 +77,7 @@ class Scoring:
             self.ablation,
             f"plan-{self.plan}" if self.plan != HEADLINE_PLAN else "",
             f"thin-{self.thin}" if self.thin != 1 else "",
+            f"study-{self.study}" if self.study else "",
         ]
         return VARIANT.join(
             [self.protocol, self.site, self.method, *filter(None, special), f"seed-{self.seed}"]
@@ -88,8 +93,8 @@ def methods_for(protocol: str, preset: Preset) -> list[str]:
 
 def is_headline(scoring: Scoring, preset: Preset) -> bool:
     """Return whether a scoring is plain: nothing changed, its own plan, least thinned, the first seed."""
-    plain = (scoring.ablation, scoring.plan, scoring.thin, scoring.seed)
-    return plain == ("", HEADLINE_PLAN, preset.thins[0], preset.seeds[0])
+    plain = (scoring.ablation, scoring.study, scoring.plan, scoring.thin, scoring.seed)
+    return plain == ("", "", HEADLINE_PLAN, preset.thins[0], preset.seeds[0])
 
 
 def needed_sites(preset: Preset, targets: Sequence[str] | None) -> list[str]:
@@ -130,6 +135,26 @@ def chosen_protocols(
     return chosen
 
 
+def without_lonely(
+    protocols: Mapping[str, Sequence[str]], source: str, there: Sequence[Site]
+) -> dict[str, list[str]]:
+    """Return protocols without the sites that too few others are there to pool for.
+
+    Args:
+        protocols: Sites of each protocol.
+        source: Site that is learned from.
+        there: Packed sites.
+    """
+    by_name = {site.name: site for site in there}
+
+    def usable(name: str, site: str) -> bool:
+        protocol = protocol_of(name, source)
+        return not protocol.pools or can_pool(protocol.sources(by_name[site], there))
+
+    left = {name: [site for site in sites if usable(name, site)] for name, sites in protocols.items()}
+    return {name: sites for name, sites in left.items() if sites}
+
+
 def learnings(preset: Preset, protocols: Mapping[str, Sequence[str]], source: str) -> Iterator[Learning]:
     """Yield every chain to train, those that others start from first."""
     for seed in preset.seeds:
@@ -154,10 +179,10 @@ def scorings(preset: Preset, protocols: Mapping[str, Sequence[str]]) -> Iterator
         for site in sites:
             for method in methods_for(protocol, preset):
                 seeds = preset.seeds if method in LEARNED_METHODS else preset.seeds[:1]
-                thinned = protocol == ZERO_SHOT and method in COMPARED_EVERYWHERE
                 for seed in seeds:
-                    for thin in preset.thins if thinned else preset.thins[:1]:
+                    for thin in preset.thins if protocol == ZERO_SHOT else preset.thins[:1]:
                         yield Scoring(method, protocol, site, seed, thin=thin)
+    yield from _studies(preset, protocols.get(ZERO_SHOT, ()))
     for site in [one for one in preset.ablation_targets if one in protocols.get(ZERO_SHOT, ())]:
         for seed in preset.seeds:
             for plan in (one for one in preset.plans if one != site):
@@ -165,3 +190,14 @@ def scorings(preset: Preset, protocols: Mapping[str, Sequence[str]]) -> Iterator
         for seed in preset.ablation_seeds:
             for ablation in preset.ablations:
                 yield Scoring(SEES_THE_PLAN, ZERO_SHOT, site, seed, ablation, thin=preset.thins[0])
+
+
+def _studies(preset: Preset, sites: Sequence[str]) -> Iterator[Scoring]:
+    """Yield what is varied around each method at each zero-shot target."""
+    for site in sites:
+        for method in methods_for(ZERO_SHOT, preset):
+            seed = preset.seeds[0]
+            if preset.calibrations and method not in LEARNED_METHODS:
+                yield Scoring(method, ZERO_SHOT, site, seed, thin=preset.thins[0], study=CALIBRATIONS)
+            if preset.access_point_counts or preset.survey_errors_m:
+                yield Scoring(method, ZERO_SHOT, site, seed, thin=preset.studied_thin, study=EQUIPMENT)

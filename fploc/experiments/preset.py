@@ -26,6 +26,10 @@ SCORED_ONLY = (
     "synthesized",
     "plans",
     "thins",
+    "calibrations",
+    "access_point_counts",
+    "survey_errors_m",
+    "studied_thin",
 )
 """No trained network depends on what else is trained, or on how it is scored."""
 
@@ -62,6 +66,10 @@ class Preset:
         ablations: Names in conf/ablation/, each trained and scored zero-shot at ``ablation_targets``.
         ablation_targets: Sites of the ablations.
         ablation_seeds: Of ``seeds``, those that ablations are trained with.
+        calibrations: Each of them in front of every method without training, zero-shot.
+        access_point_counts: Numbers of access points that every method is left with, zero-shot.
+        survey_errors_m: Greatest errors of the access points' coordinates, zero-shot, metres.
+        studied_thin: Every so many-th interval is scored with other access points.
         streams: What networks learn from: measured intervals, virtual ones, or both.
         sight_shares: Shares of training links that FPDNN sees the crop of, its length alone, and nothing.
         augmentation: Strengths of ``fploc.floorplan.augmentation.CropAugmentation``; empty for its own.
@@ -89,6 +97,10 @@ class Preset:
     ablations: tuple[str, ...] = ()
     ablation_targets: tuple[str, ...] = ()
     ablation_seeds: tuple[int, ...] = ()
+    calibrations: tuple[str, ...] = ()
+    access_point_counts: tuple[int, ...] = ()
+    survey_errors_m: tuple[float, ...] = ()
+    studied_thin: int = 10
     streams: Streams = "both"
     sight_shares: tuple[float, float, float] = (0.8, 0.1, 0.1)
     augmentation: dict[str, float] = field(default_factory=dict)

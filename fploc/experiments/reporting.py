@@ -10,9 +10,10 @@ from typing import Any
 
 from fploc.conf import read_conf
 from fploc.datasets.packed import PackedSite
-from fploc.evaluation.certainty import difference_rows, recording_rows
+from fploc.evaluation.certainty import difference_rows, recording_rows, rows_against_best
 from fploc.evaluation.chain_stages import ChainTrack, chain_stages, chain_tracks
 from fploc.evaluation.complexity import complexity_rows
+from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.error_series import ErrorSeries, read_error_series
 from fploc.evaluation.evaluate import EvaluationRequest
 from fploc.evaluation.protocols import protocol_of
@@ -79,7 +80,8 @@ class Report:
         self._write(PAGE, page(records, preset=self.preset.name))
         facts = self._facts(places, costs, [json.loads(file.read_text()) for file in matches])
         self._write(FACTS, json.dumps(facts, indent=1) + "\n")
-        write_figures(places, self._plain(records), self.folder / FIGURES)
+        studied = [one for one in records if is_studied(one.record.condition)]
+        write_figures(places, self._plain(records), studied, self.folder / FIGURES)
 
     def _write(self, name: str, text: str) -> None:
         with whole(self.folder / name) as part:
@@ -150,6 +152,7 @@ class Report:
                 for device in sorted({one.recording.device for one in place.tracks})
             ],
             "differences": _by_place(places, lambda errors: difference_rows(errors, base=SEES_THE_PLAN)),
+            "against_best": _by_place(places, rows_against_best),
             "recordings": _by_place(places, recording_rows),
             "training_cost": [{"stage": name, "seconds": seconds} for name, seconds in costs.items()],
             "ablations": {name: read_ablation(name).reason for name in self.preset.ablations},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -27,6 +28,8 @@ from fploc.evaluation.run_log import RunLog
 from fploc.experiments.duration import announce_duration
 from fploc.experiments.learning import GENERATOR, Learner
 from fploc.experiments.plan import (
+    CALIBRATIONS,
+    EQUIPMENT,
     LEARNED_METHODS,
     SEEN,
     Learning,
@@ -36,11 +39,13 @@ from fploc.experiments.plan import (
     learnings,
     needed_sites,
     scorings,
+    without_lonely,
 )
 from fploc.experiments.preset import Preset, read_preset
 from fploc.experiments.reporting import FACTS, FIGURES, PAGE, RECORDS, Report
 from fploc.experiments.scoring import PLANS, Scored, scored
 from fploc.experiments.stages import Stage, StageBook
+from fploc.experiments.study import calibration_study, equipment_study
 from fploc.experiments.synthesize import MATCH, synthesize
 from fploc.experiments.training import Loggers
 from fploc.experiments.world import World, prepare_world
@@ -93,8 +98,10 @@ class Reproduction:
         """Return the reproduction of a preset on what is there; ``targets`` as in ``reproduce``."""
         if world.made_up:
             targets = world.others
-        there = (world.source, *world.others)
-        return cls(preset, world, chosen_protocols(preset, world.source, targets, there), data_root, runs)
+            preset = replace(preset, ablation_targets=tuple(world.others))
+        there = [read_packed(data_root, name).site for name in (world.source, *world.others)]
+        protocols = chosen_protocols(preset, world.source, targets, [one.name for one in there])
+        return cls(preset, world, without_lonely(protocols, world.source, there), data_root, runs)
 
     def stages(self) -> list[Stage]:
         """Return every stage in order."""
@@ -229,7 +236,7 @@ class Reproduction:
             preset=self.preset.variant(scoring.ablation).name,
             seed=scoring.seed,
         )
-        done = scored(scoring.method, request, None, self.data_root, self.runs)
+        done = self._scored(scoring, request)
         run_id = self._record_run(scoring, done)
         file = self._records_file(scoring)
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -240,20 +247,28 @@ class Reproduction:
         tracked = [TrackedRecord(record, run_id, hashed, self.world.made_up) for record in done.records]
         write_records(tracked, file)
 
+    def _scored(self, scoring: Scoring, request: EvaluationRequest) -> Scored:
+        method, preset, folders = scoring.method, self.preset, (self.data_root, self.runs)
+        if scoring.study == CALIBRATIONS:
+            return Scored(calibration_study(method, request, preset.calibrations, *folders), tracks=[])
+        if scoring.study == EQUIPMENT:
+            counts, errors_m = preset.access_point_counts, preset.survey_errors_m
+            return Scored(equipment_study(method, request, counts, errors_m, *folders), tracks=[])
+        return scored(method, request, None, *folders)
+
     def _record_run(self, scoring: Scoring, done: Scored) -> str:
         learned = scoring.method in LEARNED_METHODS
         protocol = protocol_of(scoring.protocol, self.world.source)
         kind = protocol.kind if learned else "baseline"
-        headline = [one for one in done.records if not one.condition]
         metrics = {
-            f"device{record.device}.{record.labels}.{record.filter}.{name}": value
-            for record in headline
+            f"{_prefix(record.condition)}device{record.device}.{record.labels}.{record.filter}.{name}": value
+            for record in done.records
             for name, value in asdict(record).items()
             if isinstance(value, float) and name not in ("speed_prior",)
         }
         artifact = Learning(protocol.artifacts_of(scoring.site), scoring.site, scoring.seed, scoring.ablation)
         return self.log.record(
-            f"{scoring.method} · {scoring.protocol} · {scoring.site}",
+            " · ".join(filter(None, [scoring.method, scoring.protocol, scoring.site, scoring.study])),
             tags=self._tags(kind, scoring) | {"method": scoring.method},
             parameters=asdict(scoring)
             | {
@@ -340,6 +355,7 @@ class Reproduction:
             "seed": str(scoring.seed),
             "plan": scoring.plan,
             "thin": str(scoring.thin),
+            "study": scoring.study or "none",
             "preset": self.preset.variant(scoring.ablation).name,
             "data": "made-up" if self.world.made_up else "public",
             "data_hash": self._data_hash(scoring),
@@ -432,6 +448,11 @@ def _stages_by_name(
         opened = Reproduction.on(preset, world, targets, data_root, runs)
         _OPENED[key] = {stage.name: stage for stage in opened.stages()}
     return _OPENED[key]
+
+
+def _prefix(condition: str) -> str:
+    """Return what stands before the metrics of a condition; nothing without one."""
+    return f"{re.sub('[^a-z0-9.]+', '-', condition.lower())}." if condition else ""
 
 
 def _errors_by_filter(tracks: Sequence[Track]) -> dict[str, NDArray[np.float64]]:

@@ -14,7 +14,7 @@ from fploc.experiments.reporting import FACTS, RECORDS
 from fploc.files import whole
 
 BASE, WIDE = "full", "published"
-RATES = "virtual-stream.json"
+RATES, TIMINGS = "virtual-stream.json", "bench.json"
 DOCUMENT = "results"
 
 
@@ -22,7 +22,7 @@ def update_docs(runs: Path, docs: Path) -> Path:
     """Write records, facts and page of the results below ``docs`` and return the page.
 
     Args:
-        runs: Folder of runs; ``published`` and the rates of virtual streams may be missing from it.
+        runs: Folder of runs; ``published``, the rates of virtual streams and the timings may be missing from it.
         docs: Folder of documents.
 
     Raises:
@@ -33,6 +33,7 @@ def update_docs(runs: Path, docs: Path) -> Path:
     records = [one for name in presets for one in read_tracked_records(runs / name / RECORDS)]
     costs = [row | {"preset": name} for name, own in facts.items() for row in own["training_cost"]]
     joined = facts[BASE] | {"training_cost": costs, "virtual_rates": _rates(runs / RATES)}
+    joined["timings"] = _rows(runs / TIMINGS)
     write_records(records, docs / f"{DOCUMENT}.jsonl")
     _write(docs / f"{DOCUMENT}-facts.json", json.dumps(joined, indent=1) + "\n")
     page = docs / f"{DOCUMENT}.md"
@@ -56,13 +57,16 @@ def _facts(file: Path) -> dict[str, Any]:
 
 
 def _rates(file: Path) -> dict[str, float]:
-    """Return links per second by what was measured; nothing where it was not."""
-    if not file.is_file():
-        return {}
+    """Return links per second by what was measured."""
     return {
         f"{row['network']} on {row['site']}, threads: {row['threads']}": row["links_per_s"]
-        for row in json.loads(file.read_text(encoding="utf-8"))
+        for row in _rows(file)
     }
+
+
+def _rows(file: Path) -> list[dict[str, Any]]:
+    """Return the rows of a benchmark; none where it was not run."""
+    return list(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else []
 
 
 def _write(file: Path, text: str) -> None:

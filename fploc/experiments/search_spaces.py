@@ -3,7 +3,6 @@
 The likelihood of ``bayes-grid`` was fitted on the source before, and the path loss of ``rtt-rss`` too. The trees of
 ``gbm`` stay as they are: more of them remember the source's line better, which its validation lap runs along too.
 ``nls`` is unweighted by definition and has nothing to tune: ``nls-weighted`` is what tuning makes of it.
-``nls-onesided`` keeps the offset of readings in line of sight, on which its loss rests: walls only lengthen ranges.
 """
 
 from __future__ import annotations
@@ -74,6 +73,7 @@ SPACES: Mapping[str, Sequence[Dimension]] = {
         Interval("long_scale", 0.1, 1.0),
         Interval("sigma_per_m", 0.0, 0.3, is_log=False),
         ADVANTAGE,
+        CALIBRATION,
     ),
     "trilateration": (Interval("smallest_sine", 0.05, 0.5), REACH, CALIBRATION),
     "rtt-rss": (

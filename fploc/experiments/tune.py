@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -194,14 +194,7 @@ def with_silences(recording: Recording, seed: int) -> Recording:
     ends = generator.exponential(SILENCE_S, (access_points, spans)).cumsum(axis=1) + recording.t_s[0]
     first = generator.random(access_points) < 0.5
     turns = np.stack([np.searchsorted(one, recording.t_s) for one in ends], axis=1)
-    heard = recording.heard & ((turns % 2 == 0) == first)
-    return replace(
-        recording,
-        heard=heard,
-        slant_m=np.where(heard, recording.slant_m, 0.0),
-        std_m=np.where(heard, recording.std_m, 0.0),
-        rss_dbm=np.where(heard, recording.rss_dbm, 0.0),
-    )
+    return recording.hearing((turns % 2 == 0) == first)
 
 
 def _suggested(trial: optuna.Trial, dimension: Dimension) -> Setting:

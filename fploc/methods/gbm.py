@@ -173,6 +173,21 @@ class GbmState:
     history: LinkHistory
 
 
+@dataclass(frozen=True)
+class LinkFeatures:
+    """Ranges to correct, and what they are corrected by.
+
+    Args:
+        ranges: Shape (B, A), metres.
+        features: ``LinkHistory.after``, shape (B, A, F).
+        heard: True where there is a range, shape (B, A).
+    """
+
+    ranges: Tensor
+    features: Tensor
+    heard: Tensor
+
+
 class CorrectedRanges:
     """The method that has learned.
 
@@ -204,16 +219,27 @@ class CorrectedRanges:
 
     def step(self, state: GbmState, intervals: Intervals) -> tuple[GbmState, Estimate]:
         """Correct every range heard, and solve for the positions."""
-        heard = intervals.heard & intervals.present[:, None]
+        state, rows = self.follow(state, intervals)
+        return state, self.solve(state.access_points, rows)
+
+    def follow(self, state: GbmState, intervals: Intervals) -> tuple[GbmState, LinkFeatures]:
+        """Take an interval into the past of every link."""
         history, features = state.history.after(intervals, self._windows_s)
-        ranges, sigmas = intervals.ranges.double(), torch.ones_like(intervals.ranges, dtype=torch.float64)
+        heard = intervals.heard & intervals.present[:, None]
+        return GbmState(state.access_points, history), LinkFeatures(
+            intervals.ranges.double(), features, heard
+        )
+
+    def solve(self, access_points: Tensor, rows: LinkFeatures) -> Estimate:
+        """Correct every range heard, and solve for the positions."""
+        ranges, heard = rows.ranges, rows.heard
+        sigmas = torch.ones_like(ranges)
         if heard.any():
-            rows = features[heard].numpy()
-            excess = torch.from_numpy(self._excess.predict(rows))
-            spread = MEDIAN_TO_SD * torch.from_numpy(self._spread.predict(rows))
+            of_links = rows.features[heard].numpy()
+            excess = torch.from_numpy(self._excess.predict(of_links))
+            spread = MEDIAN_TO_SD * torch.from_numpy(self._spread.predict(of_links))
             ranges = ranges.masked_scatter(heard, (ranges[heard] - excess).clamp(min=0.0))
             sigmas = sigmas.masked_scatter(heard, spread.clamp(min=self.settings.smallest_sigma_m))
-        found = solve_nonlinear(
-            ranges, state.access_points, sigmas, heard, loss=self.settings.loss, settings=self._iteration
+        return solve_nonlinear(
+            ranges, access_points, sigmas, heard, loss=self.settings.loss, settings=self._iteration
         )
-        return GbmState(state.access_points, history), found

@@ -56,6 +56,30 @@ class Refining(Protocol):
 
 
 @runtime_checkable
+class Solving(Protocol):
+    """A method of two parts: what it follows of every link through time, and a solver of every row alone.
+
+    The localizer solves many intervals at once; only the first part goes through time. Having the parts promises
+    that ``step`` does the same one interval at a time, and that no position enters the state, which names the
+    access points' positions ``access_points``, shape (A, 2), metres. ``Rows`` is the method's own, a data class of
+    tensors (B, …).
+    """
+
+    @property
+    def name(self) -> str:
+        """Name on the command line and in result records."""
+
+    def init(self, site: Site, devices: int) -> Any:
+        """Return the state of ``devices`` devices before their first interval."""
+
+    def follow(self, state: Any, intervals: Intervals) -> tuple[Any, Any]:
+        """Advance the links of every device that is present by one interval, and return the ``Rows`` to solve."""
+
+    def solve(self, access_points: Tensor, rows: Any) -> Estimate:
+        """Return the estimates of ``Rows``."""
+
+
+@runtime_checkable
 class Filtering(Protocol):
     """A method that is a filter over time itself: its fixes are never unfiltered ones."""
 

@@ -82,6 +82,21 @@ class LinkState:
     started: Tensor
 
 
+@dataclass(frozen=True)
+class LinkRanges:
+    """Filtered ranges to solve for positions.
+
+    Args:
+        ranges: Shape (B, A), metres.
+        sigmas: Their standard deviations, shape (B, A), metres.
+        heard: True where there is one in this interval, shape (B, A).
+    """
+
+    ranges: Tensor
+    sigmas: Tensor
+    heard: Tensor
+
+
 class RttRss:
     """The method. It filters ranges, not positions: the Kalman filter on positions comes after it.
 
@@ -112,6 +127,15 @@ class RttRss:
 
     def step(self, state: LinkState, intervals: Intervals) -> tuple[LinkState, Estimate]:
         """Filter the range of every access point heard, and solve for the position."""
+        state, rows = self.follow(state, intervals)
+        return state, self.solve(state.access_points, rows)
+
+    def solve(self, access_points: Tensor, rows: LinkRanges) -> Estimate:
+        """Return the positions that filtered ranges give."""
+        return solve_nonlinear(rows.ranges, access_points, rows.sigmas, rows.heard)
+
+    def follow(self, state: LinkState, intervals: Intervals) -> tuple[LinkState, LinkRanges]:
+        """Filter the range of every access point heard."""
         heard = intervals.heard & intervals.present[:, None]
         measured, rtt_variance = intervals.ranges.double(), self.settings.rtt_variance_m2
         now = torch.maximum(intervals.t_s.double()[:, None], state.t_s)
@@ -128,7 +152,7 @@ class RttRss:
             t_s=torch.where(heard, now, state.t_s),
             started=state.started | heard,
         )
-        return new, solve_nonlinear(new.ranges, state.access_points, new.variances.sqrt(), heard)
+        return new, LinkRanges(new.ranges, new.variances.sqrt(), heard)
 
     def _updated(
         self, ranges: Tensor, variances: Tensor, measured: Tensor, noise: Tensor

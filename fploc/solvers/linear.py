@@ -52,8 +52,8 @@ def solve_linear(
 ) -> Estimate:
     """Solve the unweighted linear system against a reference access point.
 
-    The covariance carries the range variances through the solution, to first order: with G = (MᵀM)⁻¹Mᵀ it is
-    G C Gᵀ, C_ij = 4 d_r² σ_r² + [i = j] 4 d_i² σ_i².
+    The covariance carries the range variances through the solution: with G = (MᵀM)⁻¹Mᵀ it is G C Gᵀ, C as in
+    ``solve_weighted_linear``.
 
     Args:
         ranges: Calibrated distances in the plan, shape (B, A), metres; ignored where ``heard`` is False.
@@ -70,8 +70,9 @@ def solve_linear(
     system = _System.of(ranges, access_points, heard, reference)
     arms, used = system.arms, system.used
     gain = symmetric_inverse(4 * arms.mT @ arms) @ (2 * arms.mT)
-    own = torch.where(used, 4 * (ranges * sigmas).square(), 0.0)
-    shared = 4 * (system.reference_range * sigmas.gather(1, system.index)).square()
+    variances = variances_of_squares(ranges, sigmas)
+    own = torch.where(used, variances, 0.0)
+    shared = variances.gather(1, system.index)
     summed = (gain * used[:, None, :]).sum(-1)
     covariances = (gain * own[:, None, :]) @ gain.mT
     covariances = covariances + shared[..., None] * summed[..., None] * summed[:, None, :]
@@ -103,7 +104,7 @@ def solve_weighted_linear(
     """
     system = _System.of(ranges, access_points, heard, None)
     rows = 2 * system.arms
-    own = 4 * (ranges * sigmas).square() + 2 * sigmas.pow(4)
+    own = variances_of_squares(ranges, sigmas)
     shared = own.gather(1, system.index)
     weights = torch.where(system.used, 1 / own, 0.0)
     together = (weights[..., None] * rows).sum(1)
@@ -112,6 +113,11 @@ def solve_weighted_linear(
     covariances = symmetric_inverse(weighted.mT @ rows)
     away = (covariances @ (weighted.mT @ system.right[..., None]))[..., 0]
     return _guarded(system, away, covariances, settings)
+
+
+def variances_of_squares(ranges: Tensor, sigmas: Tensor) -> Tensor:
+    """Return the variances of normal d², 4 d² σ² + 2 σ⁴, in metres to the fourth: above 0 at a range of 0 as well."""
+    return 4 * (ranges * sigmas).square() + 2 * sigmas.pow(4)
 
 
 @dataclass(frozen=True)

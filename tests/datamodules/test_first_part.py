@@ -56,7 +56,7 @@ def test_learned_validating_and_tested_intervals_are_far_apart_along_every_path(
             assert after.min() - before.max() > GAP_M
         lengths = [part.max() - part.min() for part in parts]
         assert lengths[0] + GAP_M == pytest.approx(0.4 * along[-1], abs=GAP_M)
-        assert lengths[2] == pytest.approx(0.5 * along[-1], abs=GAP_M)
+        assert lengths[2] < 0.5 * along[-1] + GAP_M, "less where the path comes back to learned places"
 
 
 def test_offsets_are_those_given_and_not_fitted_on_the_target(root: Path) -> None:

@@ -8,6 +8,7 @@ from fploc.datasets.path_parts import (
     FITTED_SHARE,
     GAP_M,
     along_path_m,
+    apart,
     first_share,
     halves,
     only,
@@ -179,3 +180,21 @@ def test_recordings_without_anything_left_are_left_out() -> None:
     np.testing.assert_array_equal(kept.t_s, one.t_s[70:])
     np.testing.assert_array_equal(kept.repaired_m, one.repaired_m[70:])
     np.testing.assert_array_equal(kept.slant_m, one.slant_m[70:])
+
+
+def test_nothing_is_tested_where_a_path_comes_back_to_what_any_recording_is_learned_from() -> None:
+    labels = straight()
+    there_and_back = np.concatenate([labels, labels[::-1]])
+    once, twice = walked(labels), walked(there_and_back)
+    parts = [halves(once), halves(twice)]
+    (_, second), (_, returning) = apart([once, twice], parts)
+    assert not returning.any(), "the way back is the way there"
+    assert not second.any(), "the other recording learns there"
+    (_, alone), *_ = apart([once], parts[:1])
+    np.testing.assert_array_equal(alone, parts[0][1])
+
+
+def test_what_has_no_label_stays_in_its_part() -> None:
+    recording = walked(with_holes(straight()))
+    ((_, second),) = apart([recording], [halves(recording)])
+    np.testing.assert_array_equal(second, halves(recording)[1])

@@ -5,16 +5,23 @@ import json
 import numpy as np
 import pytest
 
-from fploc.evaluation.certainty import difference_rows, recording_rows
+from fploc.evaluation.certainty import difference_rows, recording_rows, rows_against_best
 from fploc.evaluation.error_series import ErrorSeries
 
 
 def series(
-    device: int, name: str, errors: list[float], *, arc_m: float = 1.0, start_s: float = 0.0
+    device: int,
+    name: str,
+    errors: list[float],
+    *,
+    arc_m: float = 1.0,
+    start_s: float = 0.0,
+    fixed: list[bool] | None = None,
 ) -> ErrorSeries:
     array = np.array(errors)
     times = start_s + 10.0 * np.arange(len(errors))
-    return ErrorSeries(device, name, arc_m, times, np.full_like(array, 99.0), array)
+    own = np.ones(len(errors), dtype=np.bool_) if fixed is None else np.array(fixed)
+    return ErrorSeries(device, name, arc_m, times, np.full_like(array, 99.0), array, own)
 
 
 def test_differences_are_between_filtered_errors_of_the_same_intervals() -> None:
@@ -35,6 +42,26 @@ def test_devices_are_apart_and_nothing_in_common_is_no_number() -> None:
     assert (first["rmse_m"], first["low_m"], first["high_m"]) == (1.0, 1.0, 1.0)
     assert second["rmse_m"] is None and second["recordings"] == 0
     assert difference_rows({"other": other}, base="base") == []
+
+
+def test_methods_are_compared_where_both_have_a_fix_as_well() -> None:
+    base = [series(1, "a", [1.0, 2.0, 3.0, 4.0], fixed=[True, True, False, False])]
+    other = [series(1, "a", [5.0, 6.0, 7.0, 8.0], fixed=[False, True, True, False])]
+    (row,) = difference_rows({"base": base, "other": other}, base="base")
+    assert (row["common_m"], row["common_base_m"], row["common_share"]) == (6.0, 2.0, 0.25)
+    never = [series(1, "a", [1.0] * 4, fixed=[False] * 4)]
+    (row,) = difference_rows({"base": never, "other": other}, base="base")
+    assert (row["common_m"], row["common_base_m"], row["common_share"]) == (None, None, 0.0)
+
+
+def test_the_best_of_each_device_is_what_the_others_are_compared_with() -> None:
+    given = {
+        "one": [series(1, "a", [1.0] * 3), series(2, "b", [2.0] * 3)],
+        "other": [series(1, "a", [3.0] * 3), series(2, "b", [1.0] * 3)],
+    }
+    found = [(row["device"], row["base"], row["method"], row["rmse_m"]) for row in rows_against_best(given)]
+    assert found == [(1, "one", "other", 2.0), (2, "other", "one", 1.0)]
+    assert rows_against_best({}) == []
 
 
 def test_recordings_count_alike_or_by_their_length() -> None:

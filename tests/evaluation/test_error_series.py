@@ -62,7 +62,9 @@ def test_a_method_with_a_filter_of_its_own_has_one_series() -> None:
 
 def series(device: int, name: str, errors: list[float]) -> ErrorSeries:
     array = np.array(errors)
-    return ErrorSeries(device, name, 2.0 * len(errors), np.arange(len(errors)) * 1.0, array, array / 2)
+    return ErrorSeries(
+        device, name, 2.0 * len(errors), np.arange(len(errors)) * 1.0, array, array / 2, array > 1.0
+    )
 
 
 def test_pooling_keeps_one_device_and_what_is_scored() -> None:

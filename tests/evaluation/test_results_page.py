@@ -23,7 +23,7 @@ def rows(text: str) -> list[list[str]]:
 def test_a_page_without_anything_has_every_section_and_says_what_was_not_run() -> None:
     page = results_page([], {})
     titles = re.findall(r"^## (.+)$", page, re.MULTILINE)
-    assert len(titles) == len(set(titles)) == 14
+    assert len(titles) == len(set(titles)) == 18
     for title in (
         "Stage by stage",
         "What the plan is worth",
@@ -121,7 +121,11 @@ def test_facts_stand_in_their_tables() -> None:
         "zero-shot", "shopping-mall", "1", "0.95 ± 0.07", "0.80", "2.00", "1.80", "1.50", UNKNOWN,
     ]  # fmt: skip
     sure = section(page, "How sure the differences are")
-    assert ["shopping-mall", "1", "nls", "+0.22", "−0.15 to +0.28", "3 of 4"] in rows(sure)
+    assert [
+        "shopping-mall", "1", "nls", "gnn-fpdnn", "+0.22", "−0.15 to +0.28", "3 of 4", "40 %", "1.20, 1.00",
+    ] in rows(sure)  # fmt: skip
+    assert ["shopping-mall", "1", "nls", "bayes-grid"] in [row[:4] for row in rows(sure)]
+    assert ["nls", "1", "64", "0.012", "0.034"] in rows(section(page, "Time of a fix"))
     assert ["shopping-mall", "1", "nls", "4", "0.95", "0.96", "0.84 to 1.02"] in rows(sure)
     assert "seen" not in {row[0] for row in rows(sure)}
     assert ["gnn", "5,282", "187,904", "2.39", "1,381", "2,704"] in rows(section(page, "Complexity"))
@@ -139,6 +143,7 @@ STAGE = {
 DIFFERENCE = {
     "protocol": "zero-shot", "site": "shopping-mall", "device": 1, "method": "nls", "base": "gnn-fpdnn",
     "rmse_m": 0.22, "low_m": -0.15, "high_m": 0.28, "recordings": 4, "recordings_below": 3,
+    "common_share": 0.4, "common_m": 1.2, "common_base_m": 1.0,
 }  # fmt: skip
 RECORDING = {
     "protocol": "zero-shot", "site": "shopping-mall", "device": 1, "method": "nls", "recordings": 4,
@@ -158,6 +163,8 @@ FACTS: dict[str, Any] = {
         | {"GNN + FPDNN": None},
     ],
     "differences": [DIFFERENCE, DIFFERENCE | {"protocol": "seen", "site": "seen"}],
+    "against_best": [DIFFERENCE | {"base": "bayes-grid"}],
+    "timings": [{"method": "nls", "threads": 1, "batch": 64, "median_ms": 0.012, "p90_ms": 0.034}],
     "recordings": [RECORDING, RECORDING | {"protocol": "seen", "site": "seen"}],
     "complexity": [
         {

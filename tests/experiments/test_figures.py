@@ -14,7 +14,14 @@ from fploc.evaluation.chain_stages import chain_tracks
 from fploc.evaluation.error_series import ErrorSeries
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import Record, TrackedRecord
-from fploc.experiments.figures import Place, cdf_figures, rmse_rows, split_figure, write_figures
+from fploc.experiments.figures import (
+    Place,
+    access_point_figures,
+    cdf_figures,
+    rmse_rows,
+    split_figure,
+    write_figures,
+)
 from fploc.filters.kalman import KalmanSettings
 from fploc.floorplan.plan import read_grey_image
 from fploc.floorplan.raster import PlanRaster
@@ -38,7 +45,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory, pack: Callable[..., None]) 
 
 def series(device: int) -> ErrorSeries:
     errors = np.linspace(0.0, 2.0, 9)
-    return ErrorSeries(device, "lap", 5.0, np.arange(9.0), errors, errors / 2)
+    return ErrorSeries(device, "lap", 5.0, np.arange(9.0), errors, errors / 2, np.ones(9, dtype=np.bool_))
 
 
 def chain(target: PackedSite) -> GNNFPDNN:
@@ -84,7 +91,7 @@ def test_everything_of_a_place_is_written_and_can_be_read(
     )
     bare = place(packed, "zero-shot", TARGET)
     full = Place(bare.protocol, bare.source, bare.target, bare.errors, method, tracks)
-    files = write_figures([full], [record("gnn", "kalman"), record("gnn", "none")], tmp_path / "figures")
+    files = write_figures([full], [record("gnn", "kalman"), record("gnn", "none")], [], tmp_path / "figures")
     at = f"zero-shot--{TARGET}"
     assert [file.stem for file in files] == [
         "bars--zero-shot--none", "bars--zero-shot--kalman",
@@ -106,7 +113,7 @@ def test_the_split_shows_what_is_learned_from_and_nothing_where_nothing_is(
     labels = [text.get_text() for text in seen.legends[0].get_texts()]
     assert [label.partition(":")[0] for label in labels] == ["trains", "validates", "tests", "access points"]
     lines = {line.get_label(): np.asarray(line.get_xydata()) for line in tuned.axes[0].lines}
-    parts = [lines[name] for name in ("fine-tunes", "tests", "left out between")]
+    parts = [lines[name] for name in ("fine-tunes", "tests", "left out")]
     known = [len(part[np.isfinite(part).all(axis=1)]) for part in parts]
     labelled = sum(
         int(np.isfinite(one.labels_m("repaired")).all(axis=1).sum()) for one in packed[TARGET].recordings()
@@ -138,3 +145,19 @@ def test_bars_hold_what_a_filter_made_and_what_the_paper_says() -> None:
     assert [(row.method, row.paper_m) for row in filtered] == [("gnn", (1.23,)), ("bayes-grid", ())]
     (plain,) = rmse_rows(records, "zero-shot", filtered=False)
     assert plain.paper_m == (1.57,) and plain.place == "shopping-mall\ndevice 1"
+
+
+def test_access_points_are_drawn_over_their_number_for_each_device() -> None:
+    studied = [
+        record("nls", "kalman", condition="access points: 3", rmse_m=2.5),
+        record("nls", "none", condition="access points: 3", rmse_m=9.0),
+        record("bayes-grid", "own", condition="access points: 3", rmse_m=1.5),
+        record("bayes-grid", "kalman", condition="access points: 3", rmse_m=9.0),
+        record("nls", "kalman", condition="access points: as they are"),
+        record("nls", "kalman", condition="survey error: 0.5 m"),
+        record("nls", "kalman", condition="access points: 4", device=2, rmse_m=None),
+    ]
+    ((name, figure),) = access_point_figures(studied)
+    assert name == "access-points--shopping-mall--device1"
+    drawn = {line.get_label(): line.get_xydata().tolist() for line in figure.axes[0].lines}
+    assert drawn == {"nls": [[3.0, 2.5]], "bayes-grid": [[3.0, 1.5]]}

@@ -8,7 +8,6 @@ import pytest
 
 from fploc.evaluation.protocols import MOVED_SITES, POOLED_SITES, protocol_of
 from fploc.experiments.plan import (
-    COMPARED_EVERYWHERE,
     LEARNED_METHODS,
     Learning,
     Scoring,
@@ -18,9 +17,11 @@ from fploc.experiments.plan import (
     methods_for,
     needed_sites,
     scorings,
+    without_lonely,
 )
 from fploc.experiments.preset import PRESETS, Preset, read_preset
 from fploc.experiments.scoring import METHODS
+from fploc.sites.registry import load_spec
 
 SOURCE = "office"
 THERE = [*POOLED_SITES]
@@ -84,13 +85,12 @@ def test_whatever_is_scored_is_trained_and_nothing_is_trained_in_vain(name: str,
 def test_methods_are_scored_at_every_place_and_learned_ones_with_every_seed(name: str) -> None:
     preset = read_preset(name)
     protocols, _, scored, _ = planned(preset, "everything")
-    plain = [one for one in scored if not one.ablation and one.plan == "real"]
+    plain = [one for one in scored if not one.ablation and not one.study and one.plan == "real"]
     for protocol, sites in protocols.items():
         for site in sites:
             for method in methods_for(protocol, preset):
                 seeds = preset.seeds if method in LEARNED_METHODS else preset.seeds[:1]
-                thinned = protocol == "zero-shot" and method in COMPARED_EVERYWHERE
-                thins = preset.thins if thinned else preset.thins[:1]
+                thins = preset.thins if protocol == "zero-shot" else preset.thins[:1]
                 found = [
                     (one.seed, one.thin)
                     for one in plain
@@ -150,6 +150,28 @@ def test_one_scoring_of_each_method_and_place_is_the_headline() -> None:
     expected = [(*place, method) for place in places for method in methods_for(place[0], preset)]
     assert [(one.protocol, one.site, one.method) for one in headline] == expected
     assert {(one.seed, one.thin, one.plan, one.ablation) for one in headline} == {(5, 3, "real", "")}
+
+
+def test_calibrations_and_equipment_are_studied_at_zero_shot_targets_with_every_method_once() -> None:
+    preset = read_preset("full")
+    _, _, scored, _ = planned(preset, "everything")
+    sites = preset.protocols["zero-shot"]
+    studied = [(one.study, one.site, one.method) for one in scored if one.study]
+    methods = methods_for("zero-shot", preset)
+    untrained = [one for one in methods if one not in LEARNED_METHODS]
+    assert set(studied) == {("equipment", site, method) for site in sites for method in methods} | {
+        ("calibrations", site, method) for site in sites for method in untrained
+    }
+    assert len(studied) == len(set(studied))
+    default = read_preset("default")
+    assert not [one for one in planned(default, "everything")[2] if one.study]
+
+
+def test_sites_without_others_to_pool_with_are_left_out() -> None:
+    sites = {name: load_spec(name).site for name in ("office", "library", "laboratory")}
+    protocols = {"seen": ["office"], "zero-shot-pooled": ["library"]}
+    assert without_lonely(protocols, SOURCE, [sites["office"], sites["library"]]) == {"seen": ["office"]}
+    assert without_lonely(protocols, SOURCE, list(sites.values())) == protocols
 
 
 def test_names_say_what_is_special() -> None:

@@ -133,6 +133,10 @@ SCORED_OTHERWISE: dict[str, Any] = {
     "synthesized": ("moon",),
     "plans": ("moon",),
     "thins": (7,),
+    "calibrations": ("magic",),
+    "access_point_counts": (7,),
+    "survey_errors_m": (7.0,),
+    "studied_thin": 7,
 }
 
 

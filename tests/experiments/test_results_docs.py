@@ -77,3 +77,8 @@ def test_runs_are_joined_and_costs_say_whose_they_are(tmp_path: Path) -> None:
 def test_a_missing_run_names_the_command_that_makes_it(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="fploc reproduce --preset full"):
         update_docs(tmp_path, tmp_path)
+
+
+def test_the_committed_page_is_what_the_committed_records_make() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    assert (docs / "results.md").read_text(encoding="utf-8") == page_of(docs)

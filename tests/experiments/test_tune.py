@@ -23,8 +23,8 @@ def root(tmp_path_factory: pytest.TempPathFactory, pack: Callable[..., None]) ->
     return folder
 
 
-def test_every_rival_can_be_tuned_and_every_dimension_stands_once_in_its_file() -> None:
-    assert SPACES.keys() == RIVAL_PARTS.keys()
+def test_every_rival_but_the_plainest_can_be_tuned_and_every_dimension_stands_once_in_its_file() -> None:
+    assert SPACES.keys() == RIVAL_PARTS.keys() - {"nls"}
     for name, space in SPACES.items():
         text = method_file(name).read_text(encoding="utf-8")
         found = tuning._settings_in(text, space)
@@ -85,4 +85,4 @@ def test_what_cannot_be_tuned_is_said(root: Path) -> None:
     with pytest.raises(UnknownNameError, match="gnn-fpdnn"):
         tune("gnn-fpdnn", trials=1, seed=0, data_root=root)
     with pytest.raises(FplocError, match="--trials"):
-        tune("nls", trials=0, seed=0, data_root=root)
+        tune("lls", trials=0, seed=0, data_root=root)

@@ -106,3 +106,13 @@ def test_covariance_is_that_of_many_noisy_solutions() -> None:
         noisy, SQUARE, torch.full_like(noisy, sigma), heard, reference=torch.zeros(20000, dtype=torch.int64)
     )
     torch.testing.assert_close(torch.cov(found.positions.T), found.covariances.mean(0), rtol=0.05, atol=1e-4)
+
+
+def test_ranges_of_zero_leave_a_covariance_that_can_be_inverted() -> None:
+    ranges = torch.zeros(1, len(SQUARE), dtype=torch.float64)
+    heard = torch.ones_like(ranges, dtype=torch.bool)
+    found = solve_linear(
+        ranges, SQUARE, torch.ones_like(ranges), heard, settings=LinearSettings(reach_m=100.0)
+    )
+    assert found.fixed.all()
+    assert (torch.linalg.eigvalsh(found.covariances) > 1e-6).all()
