@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import csv
 import io
+import logging
+import time
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import partial
@@ -47,7 +49,10 @@ from fploc.serve.settings import ServeSettings
 from fploc.serve.site_service import ServedSite, SiteService, now_ms
 from fploc.serve.store import Store
 from fploc.serve.tokens import Scope
+from fploc.serve.upload_limit import UploadLimit
 from fploc.serve.writer import StoreWriter
+
+log = logging.getLogger("fploc.serve")
 
 LIVE_PROTOCOL = "fploc.v1"
 CLOSED_UNAUTHORIZED, CLOSED_FORBIDDEN, CLOSED_UNKNOWN, CLOSED_FULL = 4401, 4403, 4404, 4429
@@ -76,6 +81,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         settings: Limits and times.
     """
     metrics = Metrics()
+    uploads = UploadLimit(settings.most_uploads_in_flight, time.monotonic)
     access = Access(store, settings)
     services: dict[str, SiteService] = {}
     writers: list[StoreWriter] = []
@@ -85,7 +91,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         writer = StoreWriter(store)
         writers.append(writer)
         for site in sites:
-            service = SiteService(site, settings, store, writer, metrics)
+            service = SiteService(site, settings, store, writer, uploads, metrics)
             await asyncio.to_thread(service.restore)
             services[service.name] = service
         ticking = [asyncio.create_task(service.run()) for service in services.values()]
@@ -117,7 +123,9 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         },
     )
     app.state.services = services
-    app.add_middleware(Guard, most_in_flight=settings.most_requests_in_flight, metrics=metrics)
+    app.add_middleware(
+        Guard, most_in_flight=settings.most_requests_in_flight, uploads=uploads, metrics=metrics
+    )
     _add_refusals(app, metrics)
     app.include_router(page_router())
     app.openapi = partial(_schema, app)  # type: ignore[method-assign]
@@ -262,12 +270,16 @@ async def _push(socket: WebSocket, service: SiteService) -> None:
 
     with service.live.listening() as listener:
         listener.tell(service.text(now_ms()))
-        sending = asyncio.create_task(send())
-        gone = asyncio.create_task(_until_gone(socket))
-        await asyncio.wait({sending, gone}, return_when=asyncio.FIRST_COMPLETED)
-        for task in (sending, gone):
-            task.cancel()
-        await asyncio.gather(sending, gone, return_exceptions=True)
+        tasks = {asyncio.create_task(send()), asyncio.create_task(_until_gone(socket))}
+        try:
+            # Not `gather`: it loses who cancelled it, which the server asks for.
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+        for task in done:
+            if (error := task.exception()) is not None:
+                log.debug("a live connection of %s ended: %r", service.name, error)
 
 
 async def _until_gone(socket: WebSocket) -> None:

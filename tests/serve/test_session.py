@@ -6,19 +6,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from fploc.datasets.packed import read_packed
 from fploc.datasets.recordings import Recording
 from fploc.evaluation.evaluate import EvaluationRequest, source_offsets
 from fploc.filters.kalman import KalmanSettings
+from fploc.floorplan.raster import PlanRaster
 from fploc.localizer import Localizer, Track, localize
+from fploc.methods.gnn import GNNMethod
+from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.registry import GEOMETRIC_METHODS, default_calibration, geometric_method
+from fploc.models.deepvit import DeepViT
+from fploc.models.fpdnn import FPDNN, DistanceHead
+from fploc.models.gnn import GNN
 from fploc.serve.messages import Interval, Measurements, Position, Reading
 from fploc.serve.recorded import recorded_intervals
 from fploc.serve.rows import FixRow, WaitingRow
 from fploc.serve.session import SiteSession
 from fploc.serve.settings import ServeSettings
 from fploc.sites.site import Site
+from fploc.solvers.nonlinear import solve_nonlinear
 
 BOX_MAC = "00:00:00:00:00:0{}"
 
@@ -72,6 +80,28 @@ def test_every_method_gives_the_positions_of_offline_localization(
     offline = localize(made, site, recordings, offsets, KalmanSettings())
     session = SiteSession(Localizer(made, site, offsets, KalmanSettings()), settings)
     fixes = streamed(session, site, recordings, seed=1)
+    for online, track in zip(fixes.values(), offline, strict=True):
+        assert largest_difference_m(online, track) < 1e-4
+
+
+def test_the_papers_chain_gives_the_positions_of_offline_localization(
+    recordings: list[Recording], localizer: Localizer, settings: ServeSettings
+) -> None:
+    torch.manual_seed(5)
+    vision = DeepViT(20, 200, (20, 10), dim=8, depth=1, num_heads=2, head_dim=4)
+    chain = GNNFPDNN(
+        coarse=GNNMethod(GNN(hidden=8, message_width=4, layers=2).eval(), variance_m2=1.0),
+        network=FPDNN(vision, DistanceHead(64)).eval(),
+        plan=PlanRaster(torch.rand(200, 400), torch.tensor([[10.0, 0.0, 20.0], [0.0, -10.0, 180.0]])),
+        crops=vision.crops,
+        solver=solve_nonlinear,
+        sigma_m=0.5,
+        filter_settings=KalmanSettings(),
+    )
+    site, offsets = localizer.site, localizer.offsets
+    offline = localize(chain, site, recordings, offsets, KalmanSettings())
+    session = SiteSession(Localizer(chain, site, offsets, KalmanSettings()), settings)
+    fixes = streamed(session, site, recordings, seed=3)
     for online, track in zip(fixes.values(), offline, strict=True):
         assert largest_difference_m(online, track) < 1e-4
 
