@@ -14,9 +14,10 @@ import json
 import random
 import sys
 import tempfile
+import time
 from pathlib import Path
 
-from served_building import Building, Connection, endless, message, printed, start_server
+from served_building import Building, Connection, endless, message, printed, start_server, written
 
 from fploc.calibration.offsets import RangeOffsets
 from fploc.filters.kalman import KalmanSettings
@@ -31,6 +32,10 @@ AT_ONCE = 3
 RETRY_S = 0.1
 PAUSE_S = 0.02
 CLOSE_M = 1e-9
+BETWEEN_KILLS = 30
+"""Reading sets that are acknowledged, at the least, between two kills: each kill falls into the load."""
+LONGEST_RUN_S = 1.5
+PATIENCE_S = 120.0
 
 
 class Phones:
@@ -42,6 +47,18 @@ class Phones:
         self.acknowledged: list[list[Interval]] = [[] for _ in range(PHONES)]
         self.ends = False
 
+    @property
+    def count(self) -> int:
+        """Reading sets that were acknowledged."""
+        return sum(map(len, self.acknowledged))
+
+    async def wait_for(self, more: int) -> None:
+        """Return once so many more are acknowledged."""
+        wanted, until = self.count + more, time.monotonic() + PATIENCE_S
+        while self.count < wanted:
+            assert time.monotonic() < until, "the server takes nothing in"
+            await asyncio.sleep(PAUSE_S)
+
     async def send(self, index: int) -> None:
         """Send until it ends."""
         intervals = endless(self.building, index)
@@ -50,7 +67,7 @@ class Phones:
             if not outbox:
                 outbox = [next(intervals) for _ in range(AT_ONCE)]
             try:
-                status, _ = await self.connections[index].request(
+                status, _, _ = await self.connections[index].request(
                     "POST",
                     f"/v1/sites/{self.building.site.name}/measurements",
                     message(f"phone-{index}", outbox),
@@ -68,10 +85,20 @@ class Phones:
     async def track(self, index: int) -> list[dict[str, object]]:
         """Return the stored track of a phone."""
         path = f"/v1/sites/{self.building.site.name}/devices/phone-{index}/track"
-        status, content = await self.connections[index].request("GET", path)
+        status, _, content = await self.connections[index].request("GET", path)
         answer = json.loads(content)
         assert status == 200 and answer["is_complete"], answer
         return list(answer["points"])
+
+    async def whole_track(self, index: int) -> list[dict[str, object]]:
+        """Return the track of a phone with all that was acknowledged, or what there is when no more comes."""
+        found, until = await self.track(index), time.monotonic() + PATIENCE_S
+        while len(found) < len(self.acknowledged[index]) and time.monotonic() < until:
+            await asyncio.sleep(RETRY_S)
+            before, found = len(found), await self.track(index)
+            if len(found) > before:
+                until = time.monotonic() + PATIENCE_S
+        return found
 
 
 def expected(building: Building, index: int, intervals: list[Interval]) -> list[tuple[float, float | None]]:
@@ -93,31 +120,32 @@ async def run(building: Building, kills: int, seed: int) -> dict[str, object]:
     """Return what was found after so many kills."""
     chance = random.Random(seed)
     process = start_server(building)
-    phones = Phones(building, process.port)
-    sending = [asyncio.create_task(phones.send(index)) for index in range(PHONES)]
-    for _ in range(kills):
-        await asyncio.sleep(chance.uniform(0.5, 2.0))
+    try:
+        phones = Phones(building, process.port)
+        sending = [asyncio.create_task(phones.send(index)) for index in range(PHONES)]
+        for _ in range(kills):
+            await phones.wait_for(BETWEEN_KILLS)
+            await asyncio.sleep(chance.uniform(0.0, LONGEST_RUN_S))
+            process.kill()
+            process = await asyncio.to_thread(start_server, building, process.port)
+        await phones.wait_for(BETWEEN_KILLS)
+        phones.ends = True
+        await asyncio.gather(*sending)
+        return {"kills": kills, **await compared(building, phones)}
+    finally:
         process.kill()
-        process = await asyncio.to_thread(start_server, building, process.port)
-    await asyncio.sleep(1.0)
-    phones.ends = True
-    await asyncio.gather(*sending)
-    lost = wrong = count = 0
+
+
+async def compared(building: Building, phones: Phones) -> dict[str, object]:
+    """Return how much of what was acknowledged is missing, and how much is elsewhere than it should be."""
+    lost = elsewhere = 0
     for index, intervals in enumerate(phones.acknowledged):
-        found = await phones.track(index)
-        while len(found) < len(intervals):
-            await asyncio.sleep(0.5)
-            before, found = len(found), await phones.track(index)
-            if len(found) == before:
-                break
-        by_time = {point["t_ms"]: point["x_m"] for point in found}
-        count += len(intervals)
-        lost += sum(one.t_ms not in by_time for one in intervals)
-        wrong += sum(
-            not _is_close(by_time.get(t_ms), x_m) for t_ms, x_m in expected(building, index, intervals)
+        found = {point["t_ms"]: point["x_m"] for point in await phones.whole_track(index)}
+        lost += sum(one.t_ms not in found for one in intervals)
+        elsewhere += sum(
+            not _is_close(found.get(t_ms), x_m) for t_ms, x_m in expected(building, index, intervals)
         )
-    process.kill()
-    return {"kills": kills, "acknowledged": count, "lost": lost, "elsewhere": wrong}
+    return {"acknowledged": phones.count, "lost": lost, "elsewhere": elsewhere}
 
 
 def _is_close(found: object, expected_m: float | None) -> bool:
@@ -132,10 +160,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, help="File to write it to.")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         found = asyncio.run(run(Building.make(Path(folder)), options.kills, options.seed))
     printed(found)
+    if options.out is not None:
+        written(options.out, found)
     sys.exit(found["lost"] != 0 or found["elsewhere"] != 0)
 
 

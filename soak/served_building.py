@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
 import subprocess
 import sys
@@ -15,8 +16,13 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from fploc.datasets.build import build_sites
 from fploc.datasets.packed import read_packed
@@ -31,6 +37,7 @@ from fploc.sites.site import Site
 SEED = 7
 PERIOD_S = 0.2
 STARTS_WITHIN_S = 240.0
+POLL_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,11 @@ class Building:
         build_sites(None, folder, [made_up_site(SEED, folder / "files", laps=1, duration_s=300.0)])
         packed = read_packed(folder, f"made-up-{SEED}")
         return cls(folder, packed.site, packed.recordings())
+
+    @cached_property
+    def laps(self) -> list[list[Interval]]:
+        """What a phone sends in each recording: every access point of the building in every reading set."""
+        return [recorded_intervals(_complete(recording), self.site) for recording in self.recordings]
 
     @property
     def offset_m(self) -> float:
@@ -65,6 +77,22 @@ class Building:
             return make_token(store, "soak", scopes_of(scopes), 1.0, time.time() * 1000.0)
         finally:
             store.close()
+
+
+def _complete(recording: Recording) -> Recording:
+    """Return a recording where access points that do not answer repeat what they said last."""
+    heard = recording.heard
+
+    def held(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return pd.DataFrame(np.where(heard, values, np.nan)).ffill().bfill().fillna(0.0).to_numpy()
+
+    return replace(
+        recording,
+        slant_m=held(recording.slant_m),
+        std_m=held(recording.std_m),
+        rss_dbm=held(recording.rss_dbm),
+        heard=np.broadcast_to(heard.any(axis=0), heard.shape),
+    )
 
 
 @dataclass
@@ -87,19 +115,33 @@ def start_server(building: Building, port: int = 0) -> ServerProcess:
         "--data-root", str(building.folder), "--calibration", str(building.offset_m),
         "--database", building.database, "--port", str(port),
     ]  # fmt: skip
-    process = subprocess.Popen(command, stderr=subprocess.PIPE)
-    assert process.stderr is not None
+    # Into a file: a pipe that nobody empties would stop the server sooner or later.
+    log = building.folder / "server.log"
+    with log.open("wb") as errors:
+        process = subprocess.Popen(command, stderr=errors)
     until = time.monotonic() + STARTS_WITHIN_S
-    while time.monotonic() < until:
-        line = process.stderr.readline().decode()
-        found = re.search(r"http://127\.0\.0\.1:(\d+)", line)
+    while time.monotonic() < until and process.poll() is None:
+        found = re.search(r"http://127\.0\.0\.1:(\d+)", log.read_text())
         if found is not None:
             # It listens before it answers: what comes meanwhile waits.
             with urllib.request.urlopen(f"{found[0]}/readyz", timeout=STARTS_WITHIN_S):
                 return ServerProcess(process, int(found[1]))
-        if process.poll() is not None:
-            break
-    raise RuntimeError(f"the server did not start: {line}")
+        time.sleep(POLL_S)
+    process.kill()
+    raise RuntimeError(f"the server did not start: {log.read_text()}")
+
+
+def memory_mb_of(server: ServerProcess) -> float:
+    """Return the resident memory of a server, megabytes."""
+    found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{server.process.pid}/status").read_text())
+    assert found is not None
+    return int(found[1]) / 1024
+
+
+def cpu_s_of(server: ServerProcess) -> float:
+    """Return the processor time that a server has used, seconds."""
+    fields = Path(f"/proc/{server.process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @contextmanager
@@ -119,8 +161,8 @@ class Connection:
         self._port, self._token = port, token
         self._streams: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
 
-    async def request(self, method: str, path: str, body: bytes = b"") -> tuple[int, bytes]:
-        """Send a request and return status and body of the answer."""
+    async def request(self, method: str, path: str, body: bytes = b"") -> tuple[int, str, bytes]:
+        """Send a request and return status, head and body of the answer."""
         if self._streams is None:
             self._streams = await asyncio.open_connection("127.0.0.1", self._port)
         reader, writer = self._streams
@@ -136,7 +178,7 @@ class Connection:
         except (OSError, EOFError):
             self.close()
             raise
-        return int(answer.split(" ", 2)[1]), content
+        return int(answer.split(" ", 2)[1]), answer, content
 
     def close(self) -> None:
         """Close it; the next request opens it again."""
@@ -147,8 +189,7 @@ class Connection:
 
 def endless(building: Building, phone: int) -> Iterator[Interval]:
     """Yield intervals of a lap again and again, at five a second of the phone's clock."""
-    recording = building.recordings[phone % len(building.recordings)]
-    intervals = recorded_intervals(recording, building.site)
+    intervals = building.laps[phone % len(building.laps)]
     index = 7 * phone
     t_ms = 0.0
     while True:
@@ -165,3 +206,9 @@ def message(device: str, intervals: list[Interval]) -> bytes:
 def printed(values: dict[str, object]) -> None:
     """Print one line of JSON."""
     print(json.dumps(values), flush=True)  # noqa: T201
+
+
+def written(path: Path, found: object) -> None:
+    """Write what was found as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
