@@ -6,6 +6,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from fploc.serve.metrics import Metrics
 from fploc.serve.refusals import RefusedError
+from fploc.serve.upload_limit import UploadLimit
 
 CONTENT_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -29,12 +30,14 @@ class Guard:
     Args:
         app: The rest.
         most_in_flight: Requests at one time; more are turned away at once instead of making a queue.
+        uploads: Room for those among them that send something.
         metrics: Where those are counted.
     """
 
-    def __init__(self, app: ASGIApp, most_in_flight: int, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, most_in_flight: int, uploads: UploadLimit, metrics: Metrics) -> None:
         self._app = app
         self._most_in_flight = most_in_flight
+        self._uploads = uploads
         self._metrics = metrics
         self._in_flight = 0
 
@@ -49,7 +52,8 @@ class Guard:
                 message = {**message, "headers": [*message["headers"], *HEADERS]}
             await send(message)
 
-        if self._in_flight >= self._most_in_flight:
+        is_upload = scope["method"] == "POST"
+        if self._in_flight >= self._most_in_flight or (is_upload and not self._uploads.enter()):
             self._metrics.rejected.labels("overloaded").inc()
             refused = RefusedError(503, "overloaded", "too many requests at once", retry_after_s=1)
             await refused.response()(scope, receive, send_with_headers)
@@ -59,3 +63,5 @@ class Guard:
             await self._app(scope, receive, send_with_headers)
         finally:
             self._in_flight -= 1
+            if is_upload:
+                self._uploads.leave()

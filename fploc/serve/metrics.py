@@ -35,6 +35,11 @@ class Metrics:
         self.devices = Gauge("fploc_devices", "Devices that are followed", ["site"], registry=self._registry)
         self.waiting = Gauge("fploc_waiting", "Reading sets that wait", ["site"], registry=self._registry)
         self.live = Gauge("fploc_live_connections", "Live connections", ["site"], registry=self._registry)
+        self.upload_room = Gauge(
+            "fploc_upload_room",
+            "Uploads that may be worked on at one time: late ticks take room away",
+            registry=self._registry,
+        )
         self.accepted = Counter(
             "fploc_reading_sets_accepted", "Reading sets accepted", ["site"], registry=self._registry
         )

@@ -25,6 +25,7 @@ class ServeSettings:
         keep_tracks_ms: Fixes older than this are deleted.
         most_body_bytes: Largest body of a request.
         most_requests_in_flight: Requests that are worked on at one time; more are turned away.
+        most_uploads_in_flight: Of these, uploads; ticks that come late make it fewer.
         requests_per_s: Of one token, and of one address where none is needed.
         request_burst: Requests that a token may make at once.
         most_live: Live connections at one time.
@@ -44,6 +45,7 @@ class ServeSettings:
     keep_tracks_ms: float
     most_body_bytes: int
     most_requests_in_flight: int
+    most_uploads_in_flight: int
     requests_per_s: float
     request_burst: int
     most_live: int

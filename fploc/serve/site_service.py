@@ -21,6 +21,7 @@ from fploc.serve.refusals import RefusedError
 from fploc.serve.session import Ingested, Outcome, SiteSession
 from fploc.serve.settings import ServeSettings
 from fploc.serve.store import Store
+from fploc.serve.upload_limit import UploadLimit
 from fploc.serve.writer import StoreWriter
 
 CLEAN_EVERY_S = 600.0
@@ -58,11 +59,18 @@ class SiteService:
         settings: Limits and times.
         store: What survives.
         writer: Writes to it.
+        uploads: Room for uploads, which late ticks take away.
         metrics: Where things are counted.
     """
 
     def __init__(
-        self, site: ServedSite, settings: ServeSettings, store: Store, writer: StoreWriter, metrics: Metrics
+        self,
+        site: ServedSite,
+        settings: ServeSettings,
+        store: Store,
+        writer: StoreWriter,
+        uploads: UploadLimit,
+        metrics: Metrics,
     ) -> None:
         self.site = site
         self.settings = settings
@@ -74,6 +82,7 @@ class SiteService:
         self._has_shed = False
         self._store = store
         self._writer = writer
+        self._uploads = uploads
         self._metrics = metrics
         self._ticking = asyncio.Lock()
         self._computer = ThreadPoolExecutor(1, thread_name_prefix="fploc-compute")
@@ -153,13 +162,16 @@ class SiteService:
                 # What was not computed still waits in the store; one fault must not stop all other devices.
                 log.exception("tick %d of %s", self.tick_number, self.name)
                 self.is_failing = True
-            self._metrics.latency.labels(self.name).observe(time.monotonic() - due)
+            latency_s = time.monotonic() - due
+            self._metrics.latency.labels(self.name).observe(latency_s)
+            self._uploads.note_tick(latency_s, period_s)
+            self._metrics.upload_room.set(self._uploads.room)
             due += period_s
             missed = int((time.monotonic() - due) / period_s)
             if missed > 0:
                 self._metrics.missed_ticks.labels(self.name).inc(missed)
                 due += missed * period_s
-            self.is_overloaded = missed > 0 or self._has_shed
+            self.is_overloaded = missed > 0 or self._has_shed or self._uploads.is_shedding
             self._has_shed = False
 
     async def tick(self, due_ms: float) -> None:
