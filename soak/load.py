@@ -40,7 +40,7 @@ from websockets.asyncio.client import connect
 
 from fploc.serve.messages import Interval
 
-WARM_UP_S = 2.0
+WARM_UP_S = 5.0
 """At the beginning, not counted: the first tick compiles and allocates."""
 SETTLING_S = 60.0
 DEADLINE_S = 0.2

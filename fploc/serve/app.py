@@ -49,7 +49,7 @@ from fploc.serve.settings import ServeSettings
 from fploc.serve.site_service import ServedSite, SiteService, now_ms
 from fploc.serve.store import Store
 from fploc.serve.tokens import Scope
-from fploc.serve.upload_limit import UploadLimit
+from fploc.serve.upload_spacing import UploadSpacing
 from fploc.serve.writer import StoreWriter
 
 log = logging.getLogger("fploc.serve")
@@ -81,7 +81,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         settings: Limits and times.
     """
     metrics = Metrics()
-    uploads = UploadLimit(settings.most_uploads_in_flight, time.monotonic)
+    uploads = UploadSpacing(time.monotonic)
     access = Access(store, settings)
     services: dict[str, SiteService] = {}
     writers: list[StoreWriter] = []
@@ -167,6 +167,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         kind = request.headers.get("content-type", "application/json").partition(";")[0].strip().lower()
         if kind != "application/json":
             raise RefusedError(415, "not_json", "send application/json")
+        service.require_room()
         body = await limited_body(request, settings.most_body_bytes)
         return await service.receive(Measurements.model_validate_json(body))
 

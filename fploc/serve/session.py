@@ -157,12 +157,21 @@ class SiteSession:
         """Return whether the device is followed or may be."""
         return device in self.devices or len(self.devices) < self.settings.most_devices
 
+    @property
+    def is_full(self) -> bool:
+        """True where nothing more may wait."""
+        return self.waiting >= self.settings.most_waiting
+
     def has_room_for_intervals(self, device: str, count: int) -> bool:
-        """Return whether so many more intervals of a device may wait: all devices share the room alike."""
+        """Return whether so many more intervals of a device may wait: all devices share the room alike.
+
+        One of which nothing waits may send a whole backlog, so that it is never refused for good.
+        """
         followed = self.devices.get(device)
         own = 0 if followed is None else len(followed.waiting)
         others = len(self.devices) + (followed is None)
-        return own + count <= max(1.0, self.settings.most_waiting / others)
+        fits = own + count <= max(1.0, self.settings.most_waiting / others)
+        return fits or (own == 0 and not self.is_full)
 
     def restore(self, row: DeviceRow | None, waiting: Iterable[WaitingRow], device: str) -> None:
         """Follow a device from what was stored of it; None and nothing for one never seen."""

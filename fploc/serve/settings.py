@@ -16,7 +16,7 @@ class ServeSettings:
         compute_share: Share of a tick after which no further round of intervals is begun.
         most_at_once: Devices in one batch; the ones that wait longest go first.
         most_devices: Devices of a site that are followed at one time.
-        most_waiting: Intervals of a site that may wait; its devices share them alike.
+        most_waiting: Intervals of a site that may wait, and a backlog beyond; its devices share them alike.
         silent_ms: A device that sent nothing for so long is marked silent.
         forget_ms: A device that sent nothing for so long leaves the map; its track stays stored.
         longest_clock_jump_ms: A device's clock may jump so far forward, or farther where the server's own clock
@@ -25,7 +25,6 @@ class ServeSettings:
         keep_tracks_ms: Fixes older than this are deleted.
         most_body_bytes: Largest body of a request.
         most_requests_in_flight: Requests that are worked on at one time; more are turned away.
-        most_uploads_in_flight: Of these, uploads; ticks that come late make it fewer.
         requests_per_s: Of one token, and of one address where none is needed.
         request_burst: Requests that a token may make at once.
         most_live: Live connections at one time.
@@ -45,7 +44,6 @@ class ServeSettings:
     keep_tracks_ms: float
     most_body_bytes: int
     most_requests_in_flight: int
-    most_uploads_in_flight: int
     requests_per_s: float
     request_burst: int
     most_live: int

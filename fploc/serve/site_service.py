@@ -18,15 +18,18 @@ from fploc.serve.live import Live
 from fploc.serve.messages import VERSION, Measurements, PlanPlace, Receipt
 from fploc.serve.metrics import Metrics
 from fploc.serve.refusals import RefusedError
-from fploc.serve.session import Ingested, Outcome, SiteSession
+from fploc.serve.session import Batch, Computed, Ingested, Outcome, SiteSession
 from fploc.serve.settings import ServeSettings
 from fploc.serve.store import Store
-from fploc.serve.upload_limit import UploadLimit
+from fploc.serve.upload_spacing import UploadSpacing
 from fploc.serve.writer import StoreWriter
 
 CLEAN_EVERY_S = 600.0
 STORE_WAIT_S = 10.0
 MOST_TICKS_UNSTORED = 10
+ASIDE_SHARE = 0.5
+"""Of a tick: batches that take longer are computed in a thread of their own. Shorter ones take much longer there: a
+method of many small operations waits before each for the thread that answers requests."""
 
 log = logging.getLogger("fploc.serve")
 
@@ -59,7 +62,7 @@ class SiteService:
         settings: Limits and times.
         store: What survives.
         writer: Writes to it.
-        uploads: Room for uploads, which late ticks take away.
+        uploads: How often a phone may upload: less often where ticks begin late.
         metrics: Where things are counted.
     """
 
@@ -69,7 +72,7 @@ class SiteService:
         settings: ServeSettings,
         store: Store,
         writer: StoreWriter,
-        uploads: UploadLimit,
+        uploads: UploadSpacing,
         metrics: Metrics,
     ) -> None:
         self.site = site
@@ -86,6 +89,7 @@ class SiteService:
         self._metrics = metrics
         self._ticking = asyncio.Lock()
         self._computer = ThreadPoolExecutor(1, thread_name_prefix="fploc-compute")
+        self._compute_s = 0.0
         self._storing: deque[Future[None]] = deque()
         self._clean_at = time.monotonic()
 
@@ -98,6 +102,16 @@ class SiteService:
         """Follow the devices that were followed when the server ended."""
         for device in self._store.followed(self.name, now_ms() - self.settings.forget_ms):
             self.session.restore(*self._store.device(self.name, device), device)
+
+    def require_room(self) -> None:
+        """Do nothing where something more may wait; to be asked before a message is read.
+
+        Raises:
+            RefusedError: If too much waits.
+        """
+        if self.session.is_full:
+            self._has_shed = True
+            raise RefusedError(503, "overloaded", "too much waits: send it again later", retry_after_s=2)
 
     async def receive(self, message: Measurements) -> Receipt:
         """Take a message in; once this returns, what it accepted is stored.
@@ -162,10 +176,9 @@ class SiteService:
                 # What was not computed still waits in the store; one fault must not stop all other devices.
                 log.exception("tick %d of %s", self.tick_number, self.name)
                 self.is_failing = True
-            latency_s = time.monotonic() - due
-            self._metrics.latency.labels(self.name).observe(latency_s)
-            self._uploads.note_tick(latency_s, period_s)
-            self._metrics.upload_room.set(self._uploads.room)
+            self._metrics.latency.labels(self.name).observe(time.monotonic() - due)
+            self._uploads.note_tick(late_s, period_s)
+            self._metrics.upload_spacing.set(self._uploads.spacing_s)
             due += period_s
             missed = int((time.monotonic() - due) / period_s)
             if missed > 0:
@@ -207,11 +220,21 @@ class SiteService:
         until = time.monotonic() + self.settings.compute_share * self.settings.tick_ms / 1000.0
         outcomes = []
         while (batch := self.session.take()) is not None:
-            computed = await loop.run_in_executor(self._computer, self.session.compute, batch)
+            if self._compute_s > ASIDE_SHARE * self.settings.tick_ms / 1000.0:
+                computed = await loop.run_in_executor(self._computer, self._compute, batch)
+            else:
+                computed = self._compute(batch)
             outcomes.append(self.session.apply(computed))
             if time.monotonic() > until:
                 break
         return outcomes
+
+    def _compute(self, batch: Batch) -> Computed:
+        """Advance a batch, and note what it took of the processor."""
+        began_s = time.thread_time()
+        computed = self.session.compute(batch)
+        self._compute_s = time.thread_time() - began_s
+        return computed
 
     async def forget(self, device: str) -> bool:
         """Delete all that is known of a device, and return whether anything was."""

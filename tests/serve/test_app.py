@@ -161,8 +161,9 @@ def test_rates_bodies_and_devices_are_limited(
     served: ServedSite, store: Store, settings: ServeSettings, phone: dict[str, str], token_of: TokenOf
 ) -> None:
     tight = replace(
-        settings, requests_per_s=0.01, request_burst=5, most_body_bytes=300, most_devices=1, most_waiting=3
-    )
+        settings, requests_per_s=0.01, request_burst=5, most_body_bytes=300, most_devices=1, most_waiting=3,
+        tick_ms=3_600_000.0,
+    )  # fmt: skip
     with TestClient(make_app([served], store, tight)) as client:
         assert client.post(UPLOADS, json=MESSAGE, headers=phone).status_code == 202
         other = client.post(UPLOADS, json=MESSAGE | {"device": "b"}, headers=phone)

@@ -194,11 +194,24 @@ def test_a_session_goes_on_from_what_was_stored(
 def test_devices_share_the_queue_alike(localizer: Localizer, settings: ServeSettings) -> None:
     session = SiteSession(localizer, replace(settings, most_waiting=20, most_devices=3))
     follow(session, "a", "b")
-    assert session.has_room_for_intervals("a", 10) and not session.has_room_for_intervals("a", 11)
-    session.ingest(message("a", *(float(t) for t in range(10))), 0.0)
-    assert not session.has_room_for_intervals("a", 1) and session.has_room_for_intervals("b", 10)
+    session.ingest(message("a", *(float(t) for t in range(5))), 0.0)
+    assert session.has_room_for_intervals("a", 5) and not session.has_room_for_intervals("a", 6)
     follow(session, "c")
+    assert not session.has_room_for_intervals("a", 2)
     assert session.has_room_for("c") and not session.has_room_for("d")
+
+
+def test_a_backlog_longer_than_a_share_is_taken_until_the_queue_is_full(
+    localizer: Localizer, settings: ServeSettings
+) -> None:
+    session = SiteSession(localizer, replace(settings, most_waiting=20))
+    follow(session, "a", "b", "c")
+    assert session.has_room_for_intervals("a", 30) and not session.is_full
+    session.ingest(message("a", *(float(t) for t in range(30))), 0.0)
+    assert session.is_full and not session.has_room_for_intervals("b", 30)
+    assert session.has_room_for_intervals("b", 6)
+    session.tick()
+    assert session.has_room_for_intervals("b", 30) and not session.is_full
 
 
 def test_a_round_takes_the_longest_waiting_devices_first(
