@@ -1,7 +1,8 @@
-"""The map page in Chromium while many phones send at 5 Hz: how much of a core its renderer takes.
+"""The map page in Chromium while many phones send: how much of a core its renderer takes.
 
     python soak/browser.py --devices 200 --seconds 30 --out runs/soak/browser.json
 
+Phones send once a second, which leaves the machine room for the browser; the page draws all of them at each tick.
 Everything is on: trails, ellipses, ground truth, error and its distribution, one device selected. Chromium draws
 without a graphics card here, so that its processor does what a card would do.
 """
@@ -16,12 +17,13 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from load import Observed, phone
+from load import Observed, counters, phone
 from playwright.async_api import Browser, async_playwright
-from served_building import Building, ServerProcess, printed, server, written
+from served_building import Building, Connection, ServerProcess, printed, server, written
 
 SIZE = {"width": 1920, "height": 1080}
 FLAGS = ["--no-sandbox", "--disable-gpu"]
+SENT_EVERY_S = 1.0
 WARM_UP_S = 25.0
 """Trails are 20 s long."""
 
@@ -37,6 +39,14 @@ async def cpu_s(browser: Browser) -> Counter[str]:
     return used
 
 
+async def ticks_of(process: ServerProcess, token: str) -> float:
+    """Return how often the server has ticked."""
+    connection = Connection(process.port, token)
+    counted = await counters(connection)
+    connection.close()
+    return counted["fploc_ticks_total"]
+
+
 async def measure(
     building: Building, process: ServerProcess, devices: int, seconds: float, screenshot: Path | None
 ) -> dict[str, object]:
@@ -44,7 +54,9 @@ async def measure(
     tokens, reader = [building.token("upload") for _ in range(devices)], building.token("read")
     times = (time.monotonic(), time.monotonic() + WARM_UP_S + seconds + 20.0)
     sending = [
-        asyncio.create_task(phone(process.port, token, building, index, times, Observed()))
+        asyncio.create_task(
+            phone(process.port, token, building, index, times, Observed(), period_s=SENT_EVERY_S)
+        )
         for index, token in enumerate(tokens)
     ]
     url = f"http://127.0.0.1:{process.port}"
@@ -59,9 +71,10 @@ async def measure(
         await page.wait_for_selector(f"#devices li:nth-child({devices})", timeout=60_000)
         await page.locator("#devices button").first.click()
         await asyncio.sleep(WARM_UP_S)
-        used, began = await cpu_s(browser), time.monotonic()
+        used, ticks, began = await cpu_s(browser), await ticks_of(process, reader), time.monotonic()
         await asyncio.sleep(seconds)
         spent, took_s = await cpu_s(browser) - used, time.monotonic() - began
+        ticks = await ticks_of(process, reader) - ticks
         if screenshot is not None:
             await page.screenshot(path=screenshot)
         await browser.close()
@@ -71,6 +84,7 @@ async def measure(
     return {
         "devices": devices,
         "seconds": seconds,
+        "ticks_per_s": round(ticks / took_s, 2),
         "size": f"{SIZE['width']} × {SIZE['height']}",
         "renderer_cores": round(spent["renderer"] / took_s, 3),
         "all_processes_cores": round(spent.total() / took_s, 3),

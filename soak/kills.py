@@ -139,8 +139,9 @@ async def run(building: Building, kills: int, seed: int) -> dict[str, object]:
 async def compared(building: Building, phones: Phones) -> dict[str, object]:
     """Return how much of what was acknowledged is missing, and how much is elsewhere than it should be."""
     lost = elsewhere = 0
-    for index, intervals in enumerate(phones.acknowledged):
-        found = {point["t_ms"]: point["x_m"] for point in await phones.whole_track(index)}
+    tracks = [await phones.whole_track(index) for index in range(PHONES)]
+    for index, (track, intervals) in enumerate(zip(tracks, phones.acknowledged, strict=True)):
+        found = {point["t_ms"]: point["x_m"] for point in track}
         lost += sum(one.t_ms not in found for one in intervals)
         elsewhere += sum(
             not _is_close(found.get(t_ms), x_m) for t_ms, x_m in expected(building, index, intervals)

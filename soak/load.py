@@ -44,7 +44,7 @@ WARM_UP_S = 5.0
 """At the beginning, not counted: the first tick compiles and allocates."""
 SETTLING_S = 60.0
 DEADLINE_S = 0.2
-MOST_AT_ONCE = 200
+MOST_AT_ONCE = 50
 LONGEST_DRAIN_S = 10.0
 
 
@@ -56,9 +56,8 @@ class Observed:
         measured_s: When a phone measured a reading set, by device and its clock.
         latencies_s: From when a tick was due until a fix of it was seen.
         ages_s: From when a reading set was measured until its fix was seen.
-        fixes: Reading sets whose fix was seen, by device.
         answers: Of the server, by status.
-        accepted: Reading sets that were acknowledged.
+        accepted: Reading sets that were acknowledged, by device.
         ticks: Seen, and how many of them said that the server is overloaded.
         waiting: Reading sets that waited in the server, each second.
         memory_mb: Of the server, each second since the beginning.
@@ -67,23 +66,29 @@ class Observed:
     measured_s: dict[tuple[str, float], float] = field(default_factory=dict)
     latencies_s: list[float] = field(default_factory=list)
     ages_s: list[float] = field(default_factory=list)
-    fixes: Counter[str] = field(default_factory=Counter)
     answers: Counter[str] = field(default_factory=Counter)
-    accepted: int = 0
+    accepted: Counter[str] = field(default_factory=Counter)
     ticks: Counter[bool] = field(default_factory=Counter)
     waiting: list[float] = field(default_factory=list)
     memory_mb: list[tuple[float, float]] = field(default_factory=list)
 
 
 async def phone(
-    port: int, token: str, building: Building, index: int, times: tuple[float, float], seen: Observed
+    port: int,
+    token: str,
+    building: Building,
+    index: int,
+    times: tuple[float, float],
+    seen: Observed,
+    *,
+    period_s: float = PERIOD_S,
 ) -> None:
-    """Measure every 200 ms from one time to another, and send what is not acknowledged yet."""
+    """Measure at a rate from one time to another, and send what is not acknowledged yet."""
     began, until = times
     connection = Connection(port, token)
     intervals, outbox = endless(building, index), list[Interval]()
     device = f"phone-{index}"
-    due = began + PERIOD_S * (index * 0.618034 % 1.0)
+    due = began + period_s * (index * 0.618034 % 1.0)
     not_before = due
     while due < until or (outbox and time.monotonic() < until + LONGEST_DRAIN_S):
         await asyncio.sleep(max(0.0, min(due, until) - time.monotonic(), not_before - time.monotonic()))
@@ -91,7 +96,7 @@ async def phone(
             outbox.append(next(intervals))
             if due >= began + WARM_UP_S:
                 seen.measured_s[device, outbox[-1].t_ms] = due
-            due += PERIOD_S
+            due += period_s
         if not outbox:
             continue
         part = outbox[:MOST_AT_ONCE]
@@ -100,7 +105,7 @@ async def phone(
         seen.answers[str(status)] += 1
         if status == 202:
             del outbox[: len(part)]
-            seen.accepted += len(part)
+            seen.accepted[device] += len(part)
         else:
             wait = re.search(r"retry-after: (\d+)", head, re.IGNORECASE)
             not_before = time.monotonic() + (float(wait[1]) if wait else 1.0)
@@ -128,7 +133,6 @@ async def listen(
                 latest[name] = t_ms
                 measured_s = seen.measured_s.get((name, t_ms))
                 if measured_s is not None:
-                    seen.fixes[name] += 1
                     seen.latencies_s.append((came_ms - tick["server_ms"]) / 1000.0)
                     seen.ages_s.append(came_s - measured_s)
 
@@ -151,6 +155,16 @@ async def counters(connection: Connection) -> dict[str, float]:
         if reason := re.search(r'reason="(\w+)"', labels):
             found[f"{name} {reason[1]}"] += float(value)
     return found
+
+
+async def drained(connection: Connection) -> dict[str, float]:
+    """Return what the server counts once nothing waits, or after a while."""
+    until = time.monotonic() + LONGEST_DRAIN_S
+    while True:
+        await asyncio.sleep(2 * PERIOD_S)
+        counted = await counters(connection)
+        if counted["fploc_waiting"] == 0.0 or time.monotonic() > until:
+            return counted
 
 
 async def load(building: Building, process: ServerProcess, devices: int, seconds: float) -> dict[str, object]:
@@ -176,8 +190,7 @@ async def load(building: Building, process: ServerProcess, devices: int, seconds
             task.result()
     await phones
     took_s, used_s = time.monotonic() - began, cpu_s_of(process) - cpu_s
-    await asyncio.sleep(2 * PERIOD_S)
-    counted = await counters(Connection(process.port, reader))
+    counted = await drained(Connection(process.port, reader))
     for task in (listening, watching):
         task.cancel()
         with suppress(asyncio.CancelledError):
@@ -186,6 +199,7 @@ async def load(building: Building, process: ServerProcess, devices: int, seconds
         "devices": devices,
         "seconds": seconds,
         **summary(seen, seconds, devices),
+        "waiting_at_the_end": int(counted["fploc_waiting"]),
         "fixes_made": int(counted["fploc_fixes_total"]),
         "server_cores": round(used_s / took_s, 2),
         "missed_ticks": int(counted["fploc_missed_ticks_total"]),
@@ -200,11 +214,12 @@ async def load(building: Building, process: ServerProcess, devices: int, seconds
 def summary(seen: Observed, seconds: float, devices: int) -> dict[str, object]:
     """Return what was seen as numbers."""
     settled = [megabytes for at, megabytes in seen.memory_mb if at >= min(SETTLING_S, seconds / 2)]
-    shares = [seen.fixes[f"phone-{index}"] for index in range(devices)]
+    shares = [seen.accepted[f"phone-{index}"] for index in range(devices)]
     latencies_ms, ages_ms = (1000.0 * np.array(values) for values in (seen.latencies_s, seen.ages_s))
     return {
         "measured": len(seen.measured_s),
-        "accepted": seen.accepted,
+        "accepted": seen.accepted.total(),
+        "accepted_of_least_and_most": [min(shares), max(shares)],
         "answers": dict(sorted(seen.answers.items())),
         "fixes_seen": len(latencies_ms),
         "within_200_ms": round(float(np.mean(latencies_ms <= 1000.0 * DEADLINE_S)), 5),
@@ -212,10 +227,8 @@ def summary(seen: Observed, seconds: float, devices: int) -> dict[str, object]:
         "latency_p99_ms": _percentile(latencies_ms, 99),
         "age_p50_ms": _percentile(ages_ms, 50),
         "age_p99_ms": _percentile(ages_ms, 99),
-        "fixes_of_least_and_most_served": [min(shares), max(shares)],
         "overloaded_ticks": round(seen.ticks[True] / max(1, seen.ticks.total()), 3),
         "most_waiting": int(max(seen.waiting)),
-        "waiting_at_the_end": int(seen.waiting[-1]),
         "memory_mb": round(settled[-1], 1),
         "memory_growth": round(settled[-1] / settled[0] - 1, 4),
     }

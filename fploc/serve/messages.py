@@ -38,7 +38,7 @@ class Reading(_Message):
 
 
 class Link(_Message):
-    """What was measured to another device. It is checked and counted; no method uses it yet."""
+    """What was measured to another device. It is checked and counted; no position depends on it (docs/phone.md)."""
 
     device: Name
     range_m: RangeM

@@ -183,6 +183,34 @@ def test_rates_bodies_and_devices_are_limited(
             assert f'fploc_messages_rejected_total{{reason="{reason}"}}' in text
 
 
+@pytest.mark.parametrize("announced", [None, "1000000000", "9" * 40])
+def test_huge_bodies_are_refused_however_they_are_announced(
+    client: TestClient, phone: dict[str, str], announced: str | None
+) -> None:
+    content = b" " * 10_000_000 if announced is None else b"{}"
+    headers = phone if announced is None else phone | {"Content-Length": announced}
+    refused = client.post(UPLOADS, content=content, headers=headers)
+    assert (refused.status_code, refused.json()["reason"]) == (413, "too_large")
+
+
+def test_more_readings_than_fit_are_refused(client: TestClient, phone: dict[str, str]) -> None:
+    crowded = MESSAGE | {"intervals": [{"t_ms": 1.0, "readings": [READING] * 10_000}]}
+    refused = client.post(UPLOADS, json=crowded, headers=phone)
+    assert (refused.status_code, refused.json()["reason"]) == (422, "malformed")
+    assert len(refused.content) < 600
+
+
+def test_what_finds_no_room_is_refused_before_it_is_read(
+    served: ServedSite, store: Store, settings: ServeSettings, phone: dict[str, str]
+) -> None:
+    full = replace(settings, most_waiting=1, tick_ms=3_600_000.0)
+    with TestClient(make_app([served], store, full)) as client:
+        assert client.post(UPLOADS, json=MESSAGE, headers=phone).status_code == 202
+        refused = client.post(UPLOADS, content=b"nonsense", headers=phone)
+        assert (refused.status_code, refused.json()["reason"]) == (503, "overloaded")
+        assert int(refused.headers["retry-after"]) > 0
+
+
 def test_too_many_requests_at_once_are_turned_away(
     served: ServedSite, store: Store, settings: ServeSettings
 ) -> None:

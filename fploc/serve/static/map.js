@@ -20,7 +20,8 @@ const canvas = at("map");
 const context = canvas.getContext("2d");
 const view = { scale: 20, x: 0, y: 0 };
 let site = null;
-let planPicture = null;
+let planPictures = null;
+const backdrop = { canvas: document.createElement("canvas"), drawn: "" };
 let selected = null;
 let moved = false;
 let retryMs = RETRY_FIRST_MS;
@@ -122,12 +123,11 @@ function resize() {
 
 function draw() {
   const ratio = window.devicePixelRatio || 1;
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.fillStyle = colours.ground;
-  context.fillRect(0, 0, canvas.clientWidth, canvas.clientHeight);
+  drawBackdrop(ratio);
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.drawImage(backdrop.canvas, 0, 0);
   if (!site) { return; }
-  drawPlan(ratio);
-  for (const ap of site.access_points) { drawAccessPoint(ap); }
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
   if (at("show-trails").checked) { drawTrails(); }
   if (at("show-ellipses").checked) { drawEllipses(); }
   if (at("show-truth").checked) { drawTruths(); }
@@ -135,36 +135,66 @@ function draw() {
   drawScale();
 }
 
-function drawPlan(ratio) {
-  if (!planPicture) { return; }
+// What stands still is drawn once, until the view or the choice changes.
+function drawBackdrop(ratio) {
+  const names = at("show-names").checked;
+  const wanted = [site?.name, planPictures !== null, view.scale, view.x, view.y, canvas.width, canvas.height,
+    colours.isDark, names].join();
+  if (backdrop.drawn === wanted) { return; }
+  backdrop.drawn = wanted;
+  backdrop.canvas.width = canvas.width;
+  backdrop.canvas.height = canvas.height;
+  const ink = backdrop.canvas.getContext("2d");
+  ink.fillStyle = colours.ground;
+  ink.fillRect(0, 0, canvas.width, canvas.height);
+  if (!site) { return; }
+  ink.setTransform(ratio, 0, 0, ratio, 0, 0);
+  drawPlan(ink);
+  for (const ap of site.access_points) { drawAccessPoint(ink, ap, names); }
+}
+
+function drawPlan(ink) {
+  if (!planPictures) { return; }
   const n = site.plan.metres_from_pixels, s = view.scale;
-  context.save();
-  // Pixel centres are whole numbers: the picture begins half a pixel before them.
-  context.setTransform(ratio, 0, 0, ratio, 0, 0);
-  context.transform(n[0][0] * s, -n[1][0] * s, n[0][1] * s, -n[1][1] * s,
+  ink.save();
+  ink.transform(n[0][0] * s, -n[1][0] * s, n[0][1] * s, -n[1][1] * s,
     view.x + n[0][2] * s, view.y - n[1][2] * s);
-  context.imageSmoothingEnabled = true;
-  context.globalAlpha = colours.isDark ? 0.8 : 1;
-  context.drawImage(planPicture, -0.5, -0.5);
-  context.restore();
+  ink.imageSmoothingEnabled = true;
+  ink.imageSmoothingQuality = "high";
+  ink.globalAlpha = colours.isDark ? 0.7 : 1;
+  // Pixel centres are whole numbers: the picture begins half a pixel before them.
+  ink.drawImage(colours.isDark ? planPictures.dark : planPictures.light, -0.5, -0.5);
+  ink.restore();
 }
 
-function drawAccessPoint(ap) {
+// Bright lines on a dark floor.
+function inverted(picture) {
+  const copy = new OffscreenCanvas(picture.width, picture.height);
+  const ink = copy.getContext("2d");
+  ink.fillStyle = "#fff";
+  ink.fillRect(0, 0, picture.width, picture.height);
+  ink.drawImage(picture, 0, 0);
+  ink.globalCompositeOperation = "difference";
+  ink.fillRect(0, 0, picture.width, picture.height);
+  return copy;
+}
+
+function drawAccessPoint(ink, ap, hasName) {
   const [u, v] = toScreen(ap.x_m, ap.y_m);
-  context.fillStyle = colours.ap;
-  context.beginPath();
-  context.moveTo(u, v - 7); context.lineTo(u + 7, v); context.lineTo(u, v + 7); context.lineTo(u - 7, v);
-  context.fill();
-  if (at("show-names").checked) { label(ap.name, u + 9, v + 4, colours.ap); }
+  ink.fillStyle = colours.ap;
+  ink.beginPath();
+  ink.moveTo(u, v - 7); ink.lineTo(u + 7, v); ink.lineTo(u, v + 7); ink.lineTo(u - 7, v);
+  ink.fill();
+  if (hasName) { label(ink, ap.name, u + 9, v + 4, colours.ap); }
 }
 
-function label(text, u, v, colour) {
-  context.font = "12px system-ui, sans-serif";
-  context.lineWidth = 3;
-  context.strokeStyle = colours.ground;
-  context.strokeText(text, u, v);
-  context.fillStyle = colour;
-  context.fillText(text, u, v);
+function label(ink, text, u, v, colour) {
+  ink.font = "12px system-ui, sans-serif";
+  ink.lineWidth = 3;
+  ink.strokeStyle = colours.ground;
+  ink.strokeText(text, u, v);
+  ink.fillStyle = colour;
+  ink.fillText(text, u, v);
 }
 
 function isShown(device) { return device.now.x_m !== null; }
@@ -232,7 +262,9 @@ function drawDots() {
     } else {
       context.strokeStyle = colour; context.lineWidth = 2.5; context.stroke();
     }
-    if (names && (devices.size <= 60 || device.name === selected)) { label(device.name, u + 9, v - 6, colours.ink); }
+    if (names && (devices.size <= 60 || device.name === selected)) {
+      label(context, device.name, u + 9, v - 6, colours.ink);
+    }
   }
 }
 
@@ -368,14 +400,14 @@ function updateErrors() {
     at("error-section").hidden = at("truth-choice").hidden = at("truth-legend").hidden = false;
     resize();
   }
-  text(at("error-text"), `now ${errorNow.toFixed(2)} m; RMSE ${Math.sqrt(errorSum / errorCount).toFixed(2)} m, median `
-    + `${quantile(0.5).toFixed(2)} m, 90 % below ${quantile(0.9).toFixed(2)} m (${errorCount} fixes)`);
+  text(at("error-text"), `now ${errorNow.toFixed(2)}\u00a0m; RMSE ${Math.sqrt(errorSum / errorCount).toFixed(2)}\u00a0m, median `
+    + `${quantile(0.5).toFixed(2)}\u00a0m, 90\u00a0% below ${quantile(0.9).toFixed(2)}\u00a0m (${errorCount} fixes)`);
   drawCdf();
 }
 
 function drawCdf() {
   const box = at("cdf"), ink = box.getContext("2d"), ratio = window.devicePixelRatio || 1;
-  const w = box.clientWidth, h = box.clientHeight, left = 30, bottom = h - 22;
+  const w = box.clientWidth, h = box.clientHeight, left = 38, bottom = h - 22;
   ink.setTransform(ratio, 0, 0, ratio, 0, 0);
   ink.clearRect(0, 0, w, h);
   const longest = Math.max(2, Math.ceil(quantile(0.98)));
@@ -392,7 +424,7 @@ function drawCdf() {
   ink.strokeStyle = colours.truth; ink.lineWidth = 2;
   ink.beginPath(); ink.moveTo(left, bottom);
   let below = 0;
-  for (let bin = 0; bin < errorBins.length && bin * ERROR_BIN_M <= longest; bin += 1) {
+  for (let bin = 0; (bin + 1) * ERROR_BIN_M <= longest; bin += 1) {
     below += errorBins[bin];
     ink.lineTo(u((bin + 1) * ERROR_BIN_M), v(below / errorCount));
   }
@@ -461,7 +493,9 @@ async function open(name) {
   select(null);
   const root = `/v1/sites/${encodeURIComponent(name)}`;
   site = await (await get(`${root}/site`)).json();
-  planPicture = await createImageBitmap(await (await get(site.plan.url)).blob());
+  const picture = await createImageBitmap(await (await get(site.plan.url)).blob());
+  planPictures = { light: picture, dark: inverted(picture) };
+  backdrop.drawn = "";
   text(at("site-name"), site.name);
   at("made-up").hidden = !site.is_made_up;
   document.title = `${site.name} – fploc live map`;
@@ -533,7 +567,11 @@ function listen() {
     begin();
   });
   window.addEventListener("resize", resize);
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { readColours(); redraw(); });
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    readColours();
+    redraw();
+    updateErrors();
+  });
   document.addEventListener("visibilitychange", redraw);
 }
 
