@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 FILES = ("steady", "curve", "kills", "browser")
+IN_TIME = 0.99
 COLUMNS = (
     ("phones", "devices"),
     ("within 200 ms", "within_200_ms"),
@@ -33,63 +34,55 @@ def page(found: Mapping[str, Any]) -> str:
     Args:
         found: What docs/load.json holds: ``steady`` and ``curve`` (soak/load.py), ``kills``, ``browser``, ``note``.
     """
-    steady, kills, browser = found["steady"][0], found["kills"], found["browser"]
-    in_time = [row["devices"] for row in found["curve"] if row["within_200_ms"] >= 0.99]
-    return "\n".join(
-        [
-            "# The server under load",
-            "",
-            "Written by `make soak`; do not edit. Phones and server share one machine, connections stay open, every",
-            "phone measures 8 access points five times a second and keeps what was not acknowledged. A fix is in time",
-            "where a live connection has it within 200 ms of when its tick was due; its age counts from the measurement.",
-            "",
-            found["note"],
-            "",
-            f"## {steady['devices']} phones for {steady['seconds'] / 60:g} minutes",
-            "",
-            f"`python soak/load.py --devices {steady['devices']} --seconds {steady['seconds']:g}`",
-            "",
-            f"- {_percent(steady['within_200_ms'])} of {steady['fixes_seen']} fixes in time; half within "
-            f"{steady['latency_p50_ms']:.0f} ms, 99 % within {steady['latency_p99_ms']:.0f} ms.",
-            f"- {steady['accepted']} reading sets taken in, {steady['fixes_made']} used, "
-            f"{_refused(steady['refused'])} uploads put off; at most {steady['most_waiting']} waited.",
-            f"- {steady['memory_mb']:.0f} MB, {100 * steady['memory_growth']:+.1f} % after the first minute; "
-            f"{steady['server_cores']:.2f} cores.",
-            "",
-            "## More and more phones",
-            "",
-            f"`python soak/load.py --devices {','.join(str(row['devices']) for row in found['curve'])} "
-            f"--seconds {found['curve'][0]['seconds']:g}`, a new server for each number:",
-            "",
-            "| " + " | ".join(title for title, _ in COLUMNS) + " |",
-            "|" + "---|" * len(COLUMNS),
-            *(_row(row) for row in found["curve"]),
-            "",
-            f"99 % are in time up to {max(in_time)} phones. "
-            if in_time
-            else "99 % are in time at no number of these. ",
-            "Past that, ticks begin late: then every phone is held to the same time between uploads "
-            "(`fploc_upload_spacing_seconds`, answers `503` with `Retry-After`), live messages say `is_overloaded`, and",
-            "the map says so. Phones send what they kept in one upload, which costs less. Of a site 5000 reading sets "
-            "wait at",
-            "the most, all phones alike; then nothing more is taken in until there is room. Positions grow older, none "
-            "is lost.",
-            "",
-            "## Killed in mid-load",
-            "",
-            f"`python soak/kills.py --kills {kills['kills']}`: {kills['kills']} times SIGKILL and a start; of "
-            f"{kills['acknowledged']} acknowledged reading sets {kills['lost']} were",
-            f"lost, and {kills['elsewhere']} got another position than in a session that never ended.",
-            "",
-            f"## The map with {browser['devices']} phones",
-            "",
-            f"`python soak/browser.py --devices {browser['devices']} --seconds {browser['seconds']:g}`: Chromium's "
-            f"renderer takes {_percent(browser['renderer_cores'])} of a core, all",
-            f"processes of the browser together {_percent(browser['all_processes_cores'])}, at {browser['size']} "
-            f"without a graphics card and {browser['ticks_per_s']:.1f} ticks a second.",
-            "",
-        ]
-    )
+    steady, curve, kills, browser = found["steady"][0], found["curve"], found["kills"], found["browser"]
+    numbers = ",".join(str(row["devices"]) for row in curve)
+    in_time = max((row["devices"] for row in curve if row["within_200_ms"] >= IN_TIME), default=0)
+    return f"""\
+# The server under load
+
+Written by `make soak`; do not edit. Phones and server share one machine, connections stay open, every phone
+measures 8 access points five times a second and keeps what was not acknowledged. A fix is in time where a live
+connection has it within 200 ms of when its tick was due; its age counts from the measurement.
+
+{found["note"]}
+
+## {steady["devices"]} phones for {steady["seconds"] / 60:g} minutes
+
+`python soak/load.py --devices {steady["devices"]} --seconds {steady["seconds"]:g}`
+
+- {_percent(steady["within_200_ms"])} of {steady["fixes_seen"]} fixes in time; half within \
+{steady["latency_p50_ms"]:.0f} ms, 99 % within {steady["latency_p99_ms"]:.0f} ms.
+- {steady["accepted"]} reading sets taken in, {steady["fixes_made"]} used, {_refused(steady["refused"])} uploads \
+put off; at most {steady["most_waiting"]} waited.
+- {steady["memory_mb"]:.0f} MB, {100 * steady["memory_growth"]:+.1f} % after the first minute; \
+{steady["server_cores"]:.2f} cores.
+
+## More and more phones
+
+`python soak/load.py --devices {numbers} --seconds {curve[0]["seconds"]:g}`, a new server for each number:
+
+| {" | ".join(title for title, _ in COLUMNS)} |
+|{"---|" * len(COLUMNS)}
+{chr(10).join(_row(row) for row in curve)}
+
+99 % are in time up to {in_time} phones. Past that, ticks begin late; then every phone is held to the same time
+between uploads (`fploc_upload_spacing_seconds`; answers `503` with `Retry-After`), live messages say `is_overloaded`
+and the map says so. Phones send what they kept in one upload, which costs less. At most about 5000 reading sets of
+a site wait, all phones alike; then nothing is taken in until there is room. Positions grow older, none is lost.
+
+## Killed in mid-load
+
+`python soak/kills.py --kills {kills["kills"]}`: {kills["kills"]} times SIGKILL and a start; of \
+{kills["acknowledged"]} acknowledged reading sets {kills["lost"]} were lost, and {kills["elsewhere"]} got another
+position than in a session that never ended.
+
+## The map with {browser["devices"]} phones
+
+`python soak/browser.py --devices {browser["devices"]} --seconds {browser["seconds"]:g}`: Chromium's renderer takes \
+{_percent(browser["renderer_cores"])} of a core, all processes of the
+browser together {_percent(browser["all_processes_cores"])}, at {browser["size"]} without a graphics card and \
+{browser["ticks_per_s"]:.1f} ticks a second.
+"""
 
 
 def _row(row: Mapping[str, Any]) -> str:
