@@ -15,7 +15,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks model results describe lock wheel clean
+.PHONY: help install reproduce test lint ui notebooks model results describe lock wheel demo soak clean
 
 help: ## List every target
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -59,6 +59,16 @@ results: install ## Write docs/results.md from finished runs of the presets full
 
 describe: install ## Count what the packed sites hold and write their data cards
 	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/data-cards
+
+demo: install ## A made-up building, a server and four simulated phones on a map: http://127.0.0.1:8000
+	@$(BIN)/python -m fploc.serve.demo --folder $(RUNS)/demo
+
+soak: install ## Load the server for minutes, more and more, kill it 20 times, watch the map; docs/load.md (20 minutes)
+	@$(BIN)/python soak/load.py --devices 50 --seconds 300 --out $(RUNS)/soak/steady.json
+	@$(BIN)/python soak/load.py --devices 10,25,50,75,100,150,200,300,400 --seconds 20 --out $(RUNS)/soak/curve.json
+	@$(BIN)/python soak/kills.py --kills 20 --out $(RUNS)/soak/kills.json
+	@$(BIN)/python soak/browser.py --devices 200 --seconds 30 --out $(RUNS)/soak/browser.json
+	@$(BIN)/python soak/load_page.py $(RUNS)/soak docs --note "Measured on $$(nproc) cores."
 
 lock: install ## Resolve the ranges of pyproject.toml anew and write constraints.txt
 	@$(BIN)/python -m pip install --quiet --upgrade -e '.[all,dev]'

@@ -32,8 +32,21 @@ DATA_COMMANDS = {
     "archive": "Put packed sites into one file to deposit. Example: fploc data archive --out data.zip",
 }
 COMMANDS = {
-    "": ("data", "made-up", "fit", "synthesize", "evaluate", "tune", "model", "bench", "reproduce"),
+    "": (
+        "data",
+        "made-up",
+        "fit",
+        "synthesize",
+        "evaluate",
+        "tune",
+        "model",
+        "bench",
+        "reproduce",
+        "serve",
+        "replay",
+    ),
     "data": tuple(DATA_COMMANDS),
+    "serve": ("token",),
 }
 PRINTED = "-"
 SITE_FILES = (".yaml", ".yml")
@@ -97,6 +110,12 @@ def make_parser() -> ArgumentParser:
     commands.add_subcommand(
         "reproduce", _reproduce_parser(), help="Get data, train, evaluate, tabulate: `make reproduce`."
     )
+    serve = _serve_parser()
+    commands.add_subcommand("serve", serve, help="Take in what phones send, show where they are.")
+    serve.add_subcommands(required=False, dest="serve_command").add_subcommand(
+        "token", _token_parser(), help="Make a token for a phone or a reader."
+    )
+    commands.add_subcommand("replay", _replay_parser(), help="Send recordings as phones would.")
     return parser
 
 
@@ -298,6 +317,83 @@ def _reproduce_parser() -> ArgumentParser:
     return parser
 
 
+def _serve_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Take in what phones send, localize them every tick, show them on a map. "
+        "Example: fploc serve --site shopping-mall",
+        exit_on_error=False,
+    )
+    parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
+    parser.add_argument(
+        "--site", type=str | None, default=None, help="Packed sites, names or folders, commas between."
+    )
+    parser.add_argument("--model", type=str, default="nls-onesided", help="Name of the method.")
+    parser.add_argument("--calibration", type=str | None, default=None, help="none, source-los, … or metres.")
+    parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")
+    parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")
+    parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
+    parser.add_argument(
+        "--settings", type=str, default="default", help="Limits and times: conf/serve/NAME.yaml."
+    )
+    parser.add_argument("--host", type=str, default="127.0.0.1", help="Address to listen at.")
+    parser.add_argument("--port", type=int, default=8000, help="Port to listen at; 0 takes a free one.")
+    _add_database(parser)
+    _add_data_root(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of trained artifacts.")
+    return parser
+
+
+def _add_database(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--state", type=Path, default=Path("runs/serve"), help="Folder of the database, where none is named."
+    )
+    parser.add_argument(
+        "--database", type=str | None, default=None, help="URL: sqlite:////folder/file.db or postgresql://…"
+    )
+
+
+def _token_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Make a token; it is shown once. Example: fploc serve token --name phone-7 --scope upload",
+        exit_on_error=False,
+    )
+    parser.add_argument("--name", type=str, default="token", help="What it is for.")
+    parser.add_argument("--scope", type=str, default="upload", help="upload, read, admin; commas between.")
+    parser.add_argument("--days", type=float, default=365.0, help="How long it is valid.")
+    parser.add_argument(
+        "--expire", type=str | None, default=None, help="Id of a token that ends now instead."
+    )
+    _add_database(parser)
+    return parser
+
+
+def _replay_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Send recordings of a packed site to a server, as phones would. "
+        "Example: fploc replay --site shopping-mall --speed 5 --token fploc_…",
+        exit_on_error=False,
+    )
+    parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
+    parser.add_argument("--site", type=str, required=True, help="Packed site to take recordings from.")
+    parser.add_argument("--device", type=str, default="all", help="1, 2 or all.")
+    parser.add_argument(
+        "--recordings", type=str | None, default=None, help="Names, commas between. Default: all."
+    )
+    parser.add_argument(
+        "--phones", type=int | None, default=None, help="How many. Default: one for each recording."
+    )
+    parser.add_argument("--url", type=str, default="http://127.0.0.1:8000", help="Of the server.")
+    parser.add_argument("--to", type=str | None, default=None, help="Site of the server. Default: --site.")
+    parser.add_argument("--token", type=str | None, default=None, help="With the scope upload.")
+    parser.add_argument("--speed", type=float, default=1.0, help="Seconds of the recording in one second.")
+    parser.add_argument("--drop", type=float, default=0.0, help="Share of reading sets that get lost.")
+    parser.add_argument("--delay-ms", type=float, default=0.0, help="Longest delay of a reading set.")
+    parser.add_argument("--seed", type=int, default=0, help="Of what is lost and late.")
+    _add_data_root(parser)
+    _add_printed_json(parser)
+    return parser
+
+
 def _runner(options: Namespace) -> int:
     runners: Mapping[str, Callable[[Namespace], None]] = {
         "data": _run_data,
@@ -308,6 +404,8 @@ def _runner(options: Namespace) -> int:
         "model": _run_model,
         "bench": _run_bench,
         "reproduce": _run_reproduce,
+        "serve": _run_serve,
+        "replay": _run_replay,
     }
     runners[options.command](options[options.command])
     return 0
@@ -587,6 +685,78 @@ def _run_reproduce(options: Namespace) -> None:
 
     sites = None if options.sites is None else _named_sites(options.sites)
     reproduce(options.preset, options.data_root, options.source, options.runs, sites, options.workers)
+
+
+def _database_url(options: Namespace) -> str:
+    from fploc.serve.store import sqlite_url
+
+    return sqlite_url(options.state) if options.database is None else options.database
+
+
+def _run_serve(options: Namespace) -> None:
+    if options.serve_command == "token":
+        _run_token(options.token)
+        return
+    if options.site is None:
+        raise FplocError(
+            "--site", value="nothing", expected="a packed site", way_out="write `fploc serve --site SITE`"
+        )
+    from fploc.serve.app import make_app
+    from fploc.serve.models import ModelRequest, packed_place, served_site
+    from fploc.serve.server import announcement, listening_socket, server_of
+    from fploc.serve.settings import ServeSettings
+    from fploc.serve.store import Store
+
+    settings = ServeSettings.read(options.settings)
+    request = ModelRequest(
+        options.model, options.calibration, options.speed_prior, options.preset, options.seed, options.runs
+    )
+    places = [packed_place(name.strip(), options.data_root) for name in options.site.split(",")]
+    sites = [served_site(root, name, request) for root, name in dict.fromkeys(places)]
+    store = Store(_database_url(options))
+    with listening_socket(options.host, options.port) as listening:
+        print(announcement(sites, listening), file=sys.stderr, flush=True)  # noqa: T201
+        server_of(make_app(sites, store, settings), listening).run()
+    store.close()
+
+
+def _run_token(options: Namespace) -> None:
+    import time
+
+    from fploc.serve.store import Store
+    from fploc.serve.tokens import make_token, scopes_of
+
+    store = Store(_database_url(options))
+    now_ms = time.time() * 1000.0
+    if options.expire is None:
+        print(make_token(store, options.name, scopes_of(options.scope), options.days, now_ms))  # noqa: T201
+    elif not store.expire_token(options.expire, now_ms):
+        known = [token.id for token in store.tokens()]
+        raise UnknownNameError(
+            "--expire", options.expire, known=known, way_out="the id is between the underscores of a token"
+        )
+    store.close()
+
+
+def _run_replay(options: Namespace) -> None:
+    import asyncio
+
+    from fploc.serve.phones import Conditions, Server, send_walks
+    from fploc.serve.replay import recorded_walks
+
+    conditions = Conditions(options.speed, options.drop, options.delay_ms, options.seed)
+    walks = recorded_walks(
+        options.data_root, options.site, options.device, options.recordings, options.phones
+    )
+    server = Server(options.url, options.to or options.site, options.token)
+    sent = asyncio.run(send_walks(server, walks, conditions))
+    columns = ("accepted", "duplicate", "late", "skewed", "tried again")
+    rows = [
+        {"phone": one.device, "dropped": str(one.dropped)}
+        | {name: str(one.outcomes[name]) for name in columns}
+        for one in sent
+    ]
+    _print_rows(rows, as_json=bool(options.json))
 
 
 def _fit(words: list[str]) -> int:

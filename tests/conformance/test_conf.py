@@ -21,6 +21,7 @@ from fploc.models.deepvit import CROP_WIDTH_M, DeepViT
 from fploc.models.fpdnn import FPDNN, Sight
 from fploc.models.generator import Generator
 from fploc.models.gnn import GNN
+from fploc.serve.settings import ServeSettings
 from fploc.sites.registry import known_sites
 
 LONGEST_LINK_M = 40.0
@@ -114,6 +115,13 @@ def test_every_method_file_is_that_of_a_method(name: str) -> None:
     assert described.keys() == {"class_path", "init_args"}
     method = SOURCE_FITTED_METHODS[name]() if name in SOURCE_FITTED_METHODS else geometric_method(name)
     assert method.name == name
+
+
+@pytest.mark.parametrize("name", names("serve"))
+def test_settings_of_the_server_are_read(name: str) -> None:
+    settings = ServeSettings.read(name)
+    assert 0 < settings.tick_ms <= settings.silent_ms < settings.forget_ms
+    assert 0 < settings.compute_share < 1
 
 
 @pytest.mark.parametrize("name", names("preset"))

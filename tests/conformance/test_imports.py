@@ -29,11 +29,18 @@ HOMES = {
         "fploc.experiments.reproduce",
         "fploc.experiments.synthesize",
     },
-    "httpx": {"fploc.datasets.download"},
+    "httpx": {"fploc.datasets.download", "fploc.serve"},
     "mlcroissant": {"fploc.datasets.croissant"},
     "sklearn": {"fploc.methods"},
     "optuna": {"fploc.experiments"},
     "threadpoolctl": {"fploc.experiments"},
+    "fastapi": {"fploc.serve"},
+    "starlette": {"fploc.serve"},
+    "uvicorn": {"fploc.serve"},
+    "pydantic": {"fploc.serve"},
+    # The run log names the error of MLflow's database.
+    "sqlalchemy": {"fploc.evaluation.run_log", "fploc.serve"},
+    "prometheus_client": {"fploc.serve"},
 }
 
 

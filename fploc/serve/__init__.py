@@ -1,0 +1,1 @@
+"""The live server: phones send readings in, positions come out every tick."""
