@@ -14,7 +14,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks results describe lock wheel clean
+.PHONY: help install reproduce test lint ui notebooks results describe docs docs-serve picture mutants lock wheel clean
 
 help: ## List every target
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -54,6 +54,16 @@ results: install ## Write docs/results.md from finished runs of the presets full
 
 describe: install ## Count what the packed sites hold and draw them
 	@$(BIN)/fploc data describe --data-root $(DATA) --out $(RUNS)/overlays
+
+docs: install ## Build the documentation into build/docs, warnings as errors
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "documentation: build/docs/index.html"
+
+docs-serve: install ## Show the documentation on http://127.0.0.1:8001 while its pages are written
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve --dev-addr 127.0.0.1:8001
+
+picture: install ## Draw the picture of README.md anew
+	@$(BIN)/python docs/images/made_up.py
 
 lock: install ## Resolve the ranges of pyproject.toml anew and write constraints.txt
 	@$(BIN)/python -m pip install --quiet --upgrade -e '.[all,dev]'
