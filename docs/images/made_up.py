@@ -31,9 +31,7 @@ def main() -> None:
         offsets = RangeOffsets("known", LINE_OF_SIGHT_OFFSET_M)
         stages = {}
         for method in ("nls", "bayes-grid"):
-            (track,) = localize(
-                geometric_method(method), packed.site, [recording], offsets, KalmanSettings()
-            )
+            (track,) = localize(geometric_method(method), packed.site, [recording], offsets, KalmanSettings())
             own = track.unfiltered if track.filtered is None or method == "bayes-grid" else track.filtered
             name = method if method == "bayes-grid" else f"{method} with Kalman filter"
             stages[name] = own.positions_m

@@ -49,6 +49,7 @@ from fploc.methods.registry import (
     geometric_method,
 )
 from fploc.models.fpdnn import Sight
+from fploc.progress import busy
 from fploc.solvers.linear import solve_linear
 from fploc.solvers.losses import OneSidedLoss
 from fploc.solvers.nonlinear import solve_nonlinear
@@ -158,7 +159,8 @@ def _fitted(
 ) -> Method:
     """Fit a method once for many targets, as long as no packed site changes its hash; offsets as JSON."""
     removed = RangeOffsets(**json.loads(offsets))
-    return fitted_on(SOURCE_FITTED_METHODS[name](), source_recordings(request, data_root), removed)
+    with busy(f"fit {name} on the source"):
+        return fitted_on(SOURCE_FITTED_METHODS[name](), source_recordings(request, data_root), removed)
 
 
 def _learned_and_tested(
