@@ -30,7 +30,9 @@ def commands(page: Path) -> list[str]:
     inline = re.findall(r"`((?:\.venv/bin/)?fploc [^`]+)`", FENCE.sub("", page.read_text("utf-8")))
     lines = [line for block in blocks(page, "") for line in block.splitlines() if line.startswith("fploc ")]
     words = [shlex.split(line.partition(" > ")[0], comments=True) for line in inline + lines]
-    return [shlex.join(line[1:]) for line in words if line[1] not in ("fit", "--help") and "--help" not in line]
+    return [
+        shlex.join(line[1:]) for line in words if line[1] not in ("fit", "--help") and "--help" not in line
+    ]
 
 
 COMMANDS = sorted({command for page in PAGES for command in commands(page)})
