@@ -15,7 +15,8 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks model results describe lock wheel demo soak clean
+.PHONY: help install reproduce test lint ui notebooks model results describe docs docs-serve picture mutants demo soak
+.PHONY: lock wheel clean
 
 help: ## List every target
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-11s %s\n", $$1, $$2}'
@@ -69,6 +70,16 @@ soak: install ## Load the server for minutes, more and more, kill it 20 times, w
 	@$(BIN)/python soak/kills.py --kills 20 --out $(RUNS)/soak/kills.json
 	@$(BIN)/python soak/browser.py --devices 200 --seconds 30 --out $(RUNS)/soak/browser.json
 	@$(BIN)/python soak/load_page.py $(RUNS)/soak docs --note "Measured on $$(nproc) cores."
+
+docs: install ## Build the documentation into build/docs, warnings as errors
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
+	@echo "documentation: build/docs/index.html"
+
+docs-serve: install ## Show the documentation on http://127.0.0.1:8001 while its pages are written
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve --dev-addr 127.0.0.1:8001
+
+picture: install ## Draw the picture of README.md anew
+	@$(BIN)/python docs/images/made_up.py
 
 lock: install ## Resolve the ranges of pyproject.toml anew and write constraints.txt
 	@$(BIN)/python -m pip install --quiet --upgrade -e '.[all,dev]'

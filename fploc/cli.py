@@ -14,7 +14,7 @@ from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, Namesp
 
 from fploc.errors import FplocError, UnknownNameError
 from fploc.files import advice
-from fploc.usage import usage_message
+from fploc.usage import HelpFormatter, usage_message
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -31,23 +31,23 @@ DATA_COMMANDS = {
     "describe": "Count what packed sites hold, write their data cards. Example: fploc data describe --out cards",
     "archive": "Put packed sites into one file to deposit. Example: fploc data archive --out data.zip",
 }
-COMMANDS = {
-    "": (
-        "data",
-        "made-up",
-        "fit",
-        "synthesize",
-        "evaluate",
-        "tune",
-        "model",
-        "bench",
-        "reproduce",
-        "serve",
-        "replay",
-    ),
-    "data": tuple(DATA_COMMANDS),
-    "serve": ("token",),
+MEANINGS = {
+    "data": "Fetch, check, pack, describe and archive public data.",
+    "made-up": "Write a made-up building and its recordings.",
+    "evaluate": "Score a method on a packed site.",
+    "reproduce": "Get data, train, evaluate, tabulate: `make reproduce`.",
+    "fit": "Train one network (LightningCLI).",
+    "tune": "Choose a method's settings on the source.",
+    "model": "Train the default method.",
+    "synthesize": "Draw what the trained generator says of a packed site.",
+    "bench": "Time one fix of every method.",
+    "serve": "Take in what phones send, show where they are.",
+    "replay": "Send recordings as phones would.",
+    "completion": "Print what makes a shell complete these words.",
 }
+"""In the order in which they are met."""
+COMMANDS = {"": tuple(MEANINGS), "data": tuple(DATA_COMMANDS), "serve": ("token",)}
+SHELLS = ("bash", "zsh")
 PRINTED = "-"
 SITE_FILES = (".yaml", ".yml")
 
@@ -84,39 +84,59 @@ def make_parser() -> ArgumentParser:
     """Return the parser of every sub-command but ``fit``, which is Lightning's own."""
     parser = ArgumentParser(
         prog="fploc",
-        description="Indoor localization from WiFi round-trip time and a floor plan.",
+        description="Find people and things indoors from WiFi round-trip time and a floor plan. "
+        "Example: fploc made-up --seed 7 --out building",
         version=_version(),
         exit_on_error=False,
+        formatter_class=HelpFormatter,
     )
-    commands = parser.add_subcommands(required=True, dest="command")
-    data = ArgumentParser(
-        description="The public data set: fetch, check, pack and describe it.", exit_on_error=False
+    parsers = {
+        "data": ArgumentParser(
+            description="The public data set: fetch, check, pack and describe it. "
+            "Example: fploc data build --sites office,laboratory",
+            exit_on_error=False,
+        ),
+        "made-up": _made_up_parser(),
+        "evaluate": _evaluate_parser(),
+        "reproduce": _reproduce_parser(),
+        "fit": ArgumentParser(exit_on_error=False),
+        "tune": _tune_parser(),
+        "model": _model_parser(),
+        "synthesize": _synthesize_parser(),
+        "bench": _bench_parser(),
+        "serve": _serve_parser(),
+        "replay": _replay_parser(),
+        "completion": _completion_parser(),
+    }
+    _add_commands(parser, "command", {name: (parsers[name], text) for name, text in MEANINGS.items()})
+    _add_commands(
+        parsers["data"],
+        "data_command",
+        {name: (_data_parser(name, text), text.split(". ")[0] + ".") for name, text in DATA_COMMANDS.items()},
     )
-    commands.add_subcommand("data", data, help="Fetch, check, pack and describe the public data set.")
-    data_commands = data.add_subcommands(required=True, dest="data_command")
-    for name, text in DATA_COMMANDS.items():
-        data_commands.add_subcommand(name, _data_parser(name, text), help=text.split(". ")[0] + ".")
-    commands.add_subcommand("made-up", _made_up_parser(), help="Write a made-up building and its recordings.")
-    commands.add_subcommand(
-        "fit", ArgumentParser(exit_on_error=False), help="Train one network (LightningCLI)."
-    )
-    commands.add_subcommand(
-        "synthesize", _synthesize_parser(), help="Draw what the trained generator says of a packed site."
-    )
-    commands.add_subcommand("evaluate", _evaluate_parser(), help="Score a method on a packed site.")
-    commands.add_subcommand("tune", _tune_parser(), help="Choose a method's settings on the source.")
-    commands.add_subcommand("model", _model_parser(), help="Train the default method.")
-    commands.add_subcommand("bench", _bench_parser(), help="Time one fix of every method.")
-    commands.add_subcommand(
-        "reproduce", _reproduce_parser(), help="Get data, train, evaluate, tabulate: `make reproduce`."
-    )
-    serve = _serve_parser()
-    commands.add_subcommand("serve", serve, help="Take in what phones send, show where they are.")
-    serve.add_subcommands(required=False, dest="serve_command").add_subcommand(
-        "token", _token_parser(), help="Make a token for a phone or a reader."
-    )
-    commands.add_subcommand("replay", _replay_parser(), help="Send recordings as phones would.")
+    tokens = {"token": (_token_parser(), "Make a token for a phone or a reader.")}
+    _add_commands(parsers["serve"], "serve_command", tokens, required=False)
     return parser
+
+
+def _add_commands(
+    parser: ArgumentParser,
+    dest: str,
+    parsers: Mapping[str, tuple[ArgumentParser, str]],
+    *,
+    required: bool = True,
+) -> None:
+    """Add sub-commands, each with its parser and its line in the list of ``parser``."""
+    commands = parser.add_subcommands(
+        required=required,
+        dest=dest,
+        title="commands",
+        metavar="COMMAND",
+        description=f"`{parser.prog} COMMAND --help` explains each.",
+    )
+    for name, (own, meaning) in parsers.items():
+        commands.add_subcommand(name, own, help=meaning)
+        own.prog = f"{parser.prog} {name}"
 
 
 def _data_parser(name: str, text: str) -> ArgumentParser:
@@ -143,6 +163,7 @@ def _add_printed_json(parser: ArgumentParser) -> None:
         nargs="?",
         const=PRINTED,
         choices=["", PRINTED],
+        metavar=PRINTED,
         default="",
         help="Print JSON instead of a table; --json - is the same.",
     )
@@ -212,8 +233,10 @@ def _evaluate_parser() -> ArgumentParser:
         exit_on_error=False,
     )
     parser.add_argument("--config", action=ActionConfigFile, help="YAML with these options.")
-    parser.add_argument("--method", type=str, required=True, help="Name of the method.")
-    parser.add_argument("--protocol", type=str, default="zero-shot", help="What it may have learned from.")
+    parser.add_argument("--method", type=str, required=True, help="nls, bayes-grid, gnn-fpdnn, …")
+    parser.add_argument(
+        "--protocol", type=str, default="zero-shot", help="What it may have learned from: seen, zero-shot, …"
+    )
     parser.add_argument("--site", type=str, required=True, help="Packed site to score on.")
     parser.add_argument("--device", type=str, default="all", help="1, 2 or all.")
     parser.add_argument("--calibration", type=str | None, default=None, help="none, source-los, … or metres.")
@@ -224,7 +247,7 @@ def _evaluate_parser() -> ArgumentParser:
         default="real",
         help="real, blank (nothing drawn), length (of crops, no image), none, or the name of another site.",
     )
-    parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")
+    parser.add_argument("--speed-prior", type=float, default=0.5, help="Speed of people, metres per second.")
     parser.add_argument("--thin", type=int, default=1, help="Keep every so many-th interval.")
     parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")
     parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
@@ -249,7 +272,7 @@ def _tune_parser() -> ArgumentParser:
     )
     parser.add_argument("--method", type=str, required=True, help="Name of the method.")
     parser.add_argument("--trials", type=int, default=40, help="Settings to try, the same for every method.")
-    parser.add_argument("--seed", type=int, default=0, help="Of the search.")
+    parser.add_argument("--seed", type=int, default=0, help="Seed of the search.")
     _add_data_root(parser)
     _add_printed_json(parser)
     return parser
@@ -288,7 +311,7 @@ def _bench_parser() -> ArgumentParser:
     parser.add_argument(
         "--methods", type=str | None, default=None, help="Names, commas between. Default: all."
     )
-    parser.add_argument("--fixes", type=int, default=1000, help="To time at least, of each method.")
+    parser.add_argument("--fixes", type=int, default=1000, help="How many to time at least.")
     parser.add_argument(
         "--batch", type=int, default=64, help="Devices that one call localizes, beside single ones."
     )
@@ -394,6 +417,16 @@ def _replay_parser() -> ArgumentParser:
     return parser
 
 
+def _completion_parser() -> ArgumentParser:
+    parser = ArgumentParser(
+        description="Print the script that makes a shell complete sub-commands, options and names. "
+        "Example: fploc completion bash > ~/.local/share/bash-completion/completions/fploc",
+        exit_on_error=False,
+    )
+    parser.add_argument("shell", type=str, choices=SHELLS, help="bash or zsh.")
+    return parser
+
+
 def _runner(options: Namespace) -> int:
     runners: Mapping[str, Callable[[Namespace], None]] = {
         "data": _run_data,
@@ -406,6 +439,7 @@ def _runner(options: Namespace) -> int:
         "reproduce": _run_reproduce,
         "serve": _run_serve,
         "replay": _run_replay,
+        "completion": _run_completion,
     }
     runners[options.command](options[options.command])
     return 0
@@ -575,16 +609,18 @@ def _run_made_up(options: Namespace) -> None:
 def _run_synthesize(options: Namespace) -> None:
     from fploc.evaluation.generator_match import printed_rows
     from fploc.experiments.synthesize import synthesize
+    from fploc.progress import busy
 
-    done = synthesize(
-        options.site,
-        source=options.source,
-        preset_name=options.preset,
-        seed=options.seed,
-        data_root=options.data_root,
-        runs=options.runs,
-        out=options.runs / "synthetic" / options.site if options.out is None else options.out,
-    )
+    with busy(f"synthesize {options.site}"):
+        done = synthesize(
+            options.site,
+            source=options.source,
+            preset_name=options.preset,
+            seed=options.seed,
+            data_root=options.data_root,
+            runs=options.runs,
+            out=options.runs / "synthetic" / options.site if options.out is None else options.out,
+        )
     if options.json:
         print(json.dumps(done.match, indent=2))  # noqa: T201
     else:
@@ -757,6 +793,12 @@ def _run_replay(options: Namespace) -> None:
         for one in sent
     ]
     _print_rows(rows, as_json=bool(options.json))
+
+
+def _run_completion(options: Namespace) -> None:
+    from fploc.completion import completion_script
+
+    print(completion_script(make_parser(), options.shell), end="")  # noqa: T201
 
 
 def _fit(words: list[str]) -> int:

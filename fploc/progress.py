@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TypeVar
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 from rich.text import Text
 
@@ -17,21 +26,50 @@ Item = TypeVar("Item")
 
 
 def track(items: Sequence[Item], description: str) -> Iterator[Item]:
-    """Yield ``items`` and show how many are done and how long the rest will take."""
-    console = Console(stderr=True)
+    """Yield ``items`` and show how many are done and how long the rest will take; nothing inside of another."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+    with _one_at_a_time() as shown, Progress(*columns, console=_console(), disable=not shown) as progress:
         yield from progress.track(items, description=description)
+
+
+@contextmanager
+def busy(description: str) -> Iterator[None]:
+    """Show for how long something is worked on whose end cannot be foreseen."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with (
+        _one_at_a_time() as shown,
+        Progress(*columns, console=_console(), disable=not shown, transient=True) as progress,
+    ):
+        progress.add_task(description, total=None)
+        yield
+
+
+_shown: list[bool] = []
+"""What is shown now, the outermost first: lines of several would write over each other."""
+
+
+@contextmanager
+def _one_at_a_time() -> Iterator[bool]:
+    shown = is_shown() and not any(_shown)
+    _shown.append(shown)
+    try:
+        yield shown
+    finally:
+        _shown.remove(shown)
+
+
+def _console() -> Console:
+    return Console(stderr=True)
 
 
 def is_shown() -> bool:
     """Return whether progress is shown: stderr is a terminal."""
-    return Console(stderr=True).is_terminal
+    return _console().is_terminal
 
 
 def print_table(rows: Sequence[Mapping[str, str]]) -> None:

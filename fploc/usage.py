@@ -1,11 +1,66 @@
-"""Words that the command line refuses: why, in one line and in the names that users type."""
+"""What the command line says: its help, and why it refuses words, in one line and in the names that users type."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from argparse import SUPPRESS, Action, _SubParsersAction
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from jsonargparse import DefaultHelpFormatter
 
 KINDS = {"int": "whole number", "float": "finite number", "bool": "true or false", "str": "text"}
+
+POSITIONAL = ("shell",)
+HELP_OF_PARSER = {
+    "help": "Show this and exit.",
+    "version": "Print the version and exit.",
+    "print_config": "Print these options as YAML and exit.",
+}
+"""Instead of the parser's own words."""
+EXAMPLE = "Example: "
+
+
+class ExampleFormatter(DefaultHelpFormatter):
+    """Help with an example that stands on its own line, to be copied."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        meaning, _, example = text.partition(EXAMPLE)
+        filled = super()._fill_text(meaning.strip(), width, indent)
+        return f"{filled}\n\nExample:\n  {example}" if example else filled
+
+
+class HelpFormatter(ExampleFormatter):
+    """Help in the words of users: no types of Python, defaults as a sentence."""
+
+    def _get_help_string(self, action: Action) -> str:
+        said = HELP_OF_PARSER.get(action.dest, action.help or "")
+        if action.required:
+            return f"{said} Required."
+        if (
+            action.default in (None, "", SUPPRESS)
+            or "default" in said.lower()
+            or action.dest in HELP_OF_PARSER
+        ):
+            return said
+        return f"{said} Default: %(default)s."
+
+    def _format_usage(self, usage: str | None, actions: Iterable[Action], *args: Any) -> str:
+        return super()._format_usage(usage, actions, *args).replace(" [options]", "")
+
+    def add_argument(self, action: Action) -> None:
+        """Take an action in; commands are indented, which the width of the column must allow for."""
+        super().add_argument(action)
+        if isinstance(action, _SubParsersAction):
+            self._action_max_length += self._indent_increment * 2
+
+    def _format_action_invocation(self, action: Action) -> str:
+        return "" if isinstance(action, _SubParsersAction) else super()._format_action_invocation(action)
+
+    def _format_action(self, action: Action) -> str:
+        formatted = super()._format_action(action)
+        # Of the list of commands, the line above it says nothing.
+        return formatted.partition("\n")[2] if isinstance(action, _SubParsersAction) else formatted
 
 
 def usage_message(reason: str, words: Sequence[str], commands: Mapping[str, Sequence[str]]) -> str:
@@ -29,7 +84,7 @@ def usage_message(reason: str, words: Sequence[str], commands: Mapping[str, Sequ
         text,
     )
     text = re.sub(
-        r"argument \w*command: invalid choice: (\S+) \(choose from .*\)",
+        r"argument COMMAND: invalid choice: (\S+) \(choose from .*\)",
         rf"found \1, expected one of {known}",
         text,
     )
@@ -48,6 +103,8 @@ def _option(key: str, said: Sequence[str]) -> str:
     """Return the option that the parser keeps under ``key``."""
     for command in said:
         key = key.removeprefix(f"{command}.")
+    if key in POSITIONAL:
+        return key.upper()
     if said[:1] == ["fit"]:
         return f"--{key}"
     if key == "source" and said[:1] != ["synthesize"]:

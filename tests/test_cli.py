@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -12,7 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fploc.cli import main
+from fploc.cli import COMMANDS as ALL_COMMANDS
+from fploc.cli import main, make_parser
 from fploc.datasets.build import build_sites
 from fploc.sites.made_up import made_up_site
 from fploc.sites.registry import load_spec
@@ -20,19 +23,10 @@ from fploc.sites.registry import load_spec
 FPLOC = Path(sys.executable).with_name("fploc")
 COMMANDS = [
     [],
-    ["data"],
-    ["data", "download"],
-    ["data", "verify"],
-    ["data", "build"],
-    ["data", "describe"],
-    ["data", "archive"],
-    ["made-up"],
-    ["evaluate"],
-    ["model"],
-    ["reproduce"],
-    ["fit"],
-    ["synthesize"],
+    *([name] for name in ALL_COMMANDS[""]),
+    *([name, own] for name, below in ALL_COMMANDS.items() if name for own in below),
 ]
+SCREEN = 24
 HEAVY = ("torch", "lightning", "mlflow", "timm", "torch_geometric", "pandas")
 
 
@@ -42,7 +36,54 @@ def test_every_command_explains_itself(command: list[str], capsys: pytest.Captur
         main([*command, "--help"])
     assert ended.value.code == 0
     out = capsys.readouterr().out
-    assert out.startswith("usage: fploc") and "--help" in out
+    usage = "usage: fploc [options] fit" if command == ["fit"] else " ".join(["usage: fploc", *command])
+    assert out.startswith(usage) and "--help" in out
+    # LightningCLI's own options are objects, whose types say what they take.
+    assert command == ["fit"] or ("<class" not in out and "lambda" not in out)
+    (example,) = re.findall(r"^Example:\n  fploc (.+)$", out, flags=re.MULTILINE)
+    words = shlex.split(example.partition(" > ")[0])
+    assert words[: len(command)] == command
+    if command != ["fit"]:
+        assert make_parser().parse_args(words).command == words[0]
+
+
+def test_help_is_a_table_of_contents_on_one_screen(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= SCREEN and max(len(line) for line in lines) < 80
+    listed = [re.match(r"    ([\w-]+) +[A-Z].*\.$", line) for line in lines]
+    assert [found[1] for found in listed if found] == list(ALL_COMMANDS[""])
+
+
+def completed(script: str, *words: str) -> set[str]:
+    """Return what bash offers for the last of ``words``."""
+    asked = (
+        f"{script}\nCOMP_WORDS=({shlex.join(words)}); COMP_CWORD={len(words) - 1}; _shtab_fploc\n"
+        'printf "%s\\n" "${COMPREPLY[@]}"'
+    )
+    done = subprocess.run(["bash", "-c", asked], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+def test_bash_completes_commands_options_and_names(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    assert completed(script, "fploc", "") == set(ALL_COMMANDS[""])
+    assert completed(script, "fploc", "data", "b") == {"build"}
+    assert completed(script, "fploc", "evaluate", "--me") == {"--method"}
+    assert {"nls", "nls-onesided"} <= completed(script, "fploc", "evaluate", "--method", "nl")
+    assert completed(script, "fploc", "evaluate", "--site", "sh") == {"shopping-mall"}
+    assert completed(script, "fploc", "reproduce", "--preset", "sm") == {"smoke"}
+
+
+def test_zsh_gets_a_script_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["completion", "zsh"]) == 0
+    script = capsys.readouterr().out
+    assert script.startswith("#compdef fploc") and "shopping-mall" in script
 
 
 def test_help_answers_within_a_second(tmp_path: Path) -> None:
@@ -84,6 +125,11 @@ def test_both_ways_in_are_the_same() -> None:
         (["reproduce", "--presets", "smoke"], "fploc reproduce --help"),
         (["fit", "--trainer.max_epochs=x"], "fploc fit --help"),
         (["fit"], "fploc fit --help"),
+        (["tune", "--trials", "x"], "fploc tune --help"),
+        (["bench", "--fixes", "many"], "fploc bench --help"),
+        (["synthesize"], "fploc synthesize --help"),
+        (["completion"], "fploc completion --help"),
+        (["completion", "fish"], "fploc completion --help"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -107,10 +153,10 @@ def test_refused_words_end_in_one_line(
     [
         (
             [],
-            "found no command, expected one of data, made-up, fit, synthesize, evaluate, tune, model, bench, "
-            "reproduce;",
+            "found no command, expected one of data, made-up, evaluate, reproduce, fit, tune, "
+            "model, synthesize, bench, serve, replay, completion;",
         ),
-        (["fly"], "found 'fly', expected one of data, made-up, fit,"),
+        (["fly"], "found 'fly', expected one of data, made-up, evaluate,"),
         (["data"], "found no command, expected one of download, verify, build, describe, archive;"),
         (["data", "fly"], "found 'fly', expected one of download, verify, build, describe, archive;"),
         (["evaluate"], "required: --method, --site;"),
@@ -119,6 +165,7 @@ def test_refused_words_end_in_one_line(
             ["evaluate", "--method", "nls", "--site", "a", "--speed-prior", "x"],
             "--speed-prior: Expected a finite",
         ),
+        (["completion"], "required: SHELL;"),
         (["synthesize", "--site", "office", "--json", "x"], "argument --json: invalid choice: 'x'"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

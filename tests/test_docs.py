@@ -16,7 +16,7 @@ from fploc.cli import make_parser
 from fploc.evaluation.protocols import PROTOCOLS
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 README = PAGES[0]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", flags=re.DOTALL | re.MULTILINE)
 
@@ -29,8 +29,10 @@ def commands(page: Path) -> list[str]:
     """Return every quoted `fploc …` command line, without comments and without `fit`."""
     inline = re.findall(r"`((?:\.venv/bin/)?fploc [^`]+)`", FENCE.sub("", page.read_text("utf-8")))
     lines = [line for block in blocks(page, "") for line in block.splitlines() if line.startswith("fploc ")]
-    words = [shlex.split(line, comments=True) for line in inline + lines]
-    return [shlex.join(line[1:]) for line in words if line[1] != "fit"]
+    words = [shlex.split(line.partition(" > ")[0], comments=True) for line in inline + lines]
+    return [
+        shlex.join(line[1:]) for line in words if line[1] not in ("fit", "--help") and "--help" not in line
+    ]
 
 
 COMMANDS = sorted({command for page in PAGES for command in commands(page)})
@@ -64,7 +66,7 @@ def test_quoted_command_line_parses(command: str) -> None:
     assert make_parser().parse_args(shlex.split(command)).command == command.split()[0]
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_quoted_make_targets_exist(page: Path) -> None:
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text("utf-8"), flags=re.MULTILINE)
     text = page.read_text("utf-8")
@@ -73,7 +75,7 @@ def test_quoted_make_targets_exist(page: Path) -> None:
     assert set(named) <= set(targets)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_within_the_repository_lead_somewhere(page: Path) -> None:
     for link in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
         assert (page.parent / link).exists(), link

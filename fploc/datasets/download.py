@@ -85,11 +85,7 @@ def download(
     client: httpx.Client | None = None,
     patience: Patience = PATIENCE,
 ) -> Path:
-    """Fetch every file that ``sites`` need and ``cache`` lacks; return ``cache``.
-
-    Raises:
-        As ``fetch``.
-    """
+    """Fetch every file that ``sites`` need and ``cache`` lacks; return ``cache``; raises as ``fetch``."""
     fetch(site_files(sites), cache, base_url=base_url, client=client, patience=patience)
     return cache
 

@@ -22,10 +22,15 @@ from fploc.datasets.packed import PackedSite
 from fploc.errors import FplocError, MissingFileError
 from fploc.experiments.scoring import artifacts_folder, data_hash
 from fploc.tasks.streams import StreamTask
+from fploc.usage import ExampleFormatter
 
 CONFIG = "--config"
 PRESET = "fit"
 RUNS = Path("runs")
+MEANING = (
+    "Train one network: its best weights end in an artifact, with the offsets that they were trained behind. "
+    "Example: fploc fit --config conf/experiment/gnn-office.yaml --trainer.max_epochs 20"
+)
 RAISING = {"exit_on_error": False}
 """Of a parser: what it refuses goes to the caller, who prints it in one line."""
 
@@ -65,7 +70,12 @@ def fit_from_command_line(words: Sequence[str]) -> None:
             subclass_mode_model=True,
             subclass_mode_data=True,
             save_config_callback=None,
-            parser_kwargs={"prog": "fploc", "fit": RAISING} | RAISING,
+            parser_kwargs={
+                "prog": "fploc",
+                "formatter_class": ExampleFormatter,
+                "fit": RAISING | {"description": MEANING},
+                **RAISING,
+            },
             args=["fit", *_resolved(words, Path(conf))],
         )
     trainer = cli.trainer

@@ -49,6 +49,7 @@ from fploc.methods.registry import (
 )
 from fploc.methods.stored_grid import learned_places, restored
 from fploc.models.fpdnn import Sight
+from fploc.progress import busy
 from fploc.shipped import (
     DEFAULT,
     POOLED,
@@ -210,7 +211,8 @@ def _fitted(
     """Fit a method and its offsets once for many targets, as long as no packed site changes its hash."""
     sources = every_source_recording(request, data_root)
     offsets = fit_pooled_offsets(calibration, sources)
-    return ReadyMethod(fitted_on(SOURCE_FITTED_METHODS[name](), sources, offsets), offsets, artifact=None)
+    with busy(f"fit {name} on the source"):
+        return ReadyMethod(fitted_on(SOURCE_FITTED_METHODS[name](), sources, offsets), offsets, artifact=None)
 
 
 def learned_and_tested(protocol: EvaluationProtocol, target: PackedSite, data_root: Path) -> list[PackedSite]:

@@ -16,12 +16,14 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from types import FrameType
 
 from fploc.errors import FplocError
 from fploc.evaluation.revision import running_commit
 from fploc.files import whole
+from fploc.progress import is_shown
 
 PATIENCE_S = 10.0
 """How long an interrupted process may take to clean up."""
@@ -101,8 +103,9 @@ class StageBook:
         """Run those of ``stages`` that are not done, in order, and say on stderr what happens."""
         left = self._announced(stages)
         labels = _labels(stages)
-        for stage in left:
-            _say(f"{labels[stage.name]} …")
+        began = time.perf_counter()
+        for done, stage in enumerate(left):
+            _say(f"{labels[stage.name]} …{_time_left(done, len(left), time.perf_counter() - began)}")
             self._forget(stage, stages)
             started = time.perf_counter()
             stage.run()
@@ -121,6 +124,7 @@ class StageBook:
             return
         labels = _labels(stages)
         running: dict[Future[float], Stage] = {}
+        began, left = time.perf_counter(), len(waiting)
         context = multiprocessing.get_context("spawn")
         pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_process)
         try:
@@ -128,7 +132,9 @@ class StageBook:
                 unfinished = set(waiting) | {stage.name for stage in running.values()}
                 for stage in list(waiting.values()):
                     if len(running) < workers and not unfinished.intersection(stage.after):
-                        _say(f"{labels[stage.name]} …")
+                        done_before = left - len(waiting) - len(running)
+                        passed_s = time.perf_counter() - began
+                        _say(f"{labels[stage.name]} …{_time_left(done_before, left, passed_s)}")
                         self._forget(stage, stages)
                         running[pool.submit(_timed, run_by_name, stage.name)] = waiting.pop(stage.name)
                 done, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -180,6 +186,13 @@ class StageBook:
 
 def _labels(stages: Sequence[Stage]) -> dict[str, str]:
     return {stage.name: f"[{number}/{len(stages)}] {stage.name}" for number, stage in enumerate(stages, 1)}
+
+
+def _time_left(done: int, stages: int, passed_s: float) -> str:
+    """Return how long the rest takes if its stages are like those done, for a person who watches."""
+    if not done or not is_shown():
+        return ""
+    return f" (about {timedelta(seconds=round(passed_s / done * (stages - done)))} left)"
 
 
 def _has_failed(future: Future[float]) -> bool:

@@ -33,6 +33,7 @@ from fploc.filters.kalman import KalmanSettings
 from fploc.localizer import localize
 from fploc.methods.interface import Filtering, SourceFitted
 from fploc.methods.registry import made
+from fploc.progress import track
 
 EVERY = (1, 10)
 SILENCE_S = 5.0
@@ -108,7 +109,8 @@ def tune(name: str, *, trials: int, seed: int, data_root: Path, source: str = PU
         settings = {dimension.key: _suggested(trial, dimension) for dimension in SPACES[name]}
         return trial_runs.error(name, yaml.safe_load(_with_settings(text, settings)))
 
-    study.optimize(objective, n_trials=trials)
+    for _ in track(range(trials), f"tune {name}"):
+        study.optimize(objective, n_trials=1)
     best = {key: _rounded(value) for key, value in study.best_params.items()}
     before, after = (math.exp(value) for value in (study.trials[0].value or 0.0, study.best_value))
     origin = [
@@ -176,13 +178,9 @@ class _Runs:
             method = fitted_on(method, [learned], offsets)
         tracks = localize(method, self.packed.site, self.recordings, offsets, KalmanSettings())
         logarithms = []
-        for track in tracks:
-            path = (
-                track.unfiltered
-                if isinstance(method, Filtering) or track.filtered is None
-                else track.filtered
-            )
-            rmse_m = score([path], [track.recording.labels_m(LABELS)]).rmse_m
+        for one in tracks:
+            path = one.unfiltered if isinstance(method, Filtering) or one.filtered is None else one.filtered
+            rmse_m = score([path], [one.recording.labels_m(LABELS)]).rmse_m
             logarithms.append(math.log(rmse_m if math.isfinite(rmse_m) else NOTHING_FOUND_M))
         return float(np.mean(logarithms))
 
