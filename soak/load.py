@@ -58,6 +58,7 @@ class Observed:
         ages_s: From when a reading set was measured until its fix was seen.
         answers: Of the server, by status.
         accepted: Reading sets that were acknowledged, by device.
+        fixes: Reading sets whose fix was seen, by device.
         ticks: Seen, and how many of them said that the server is overloaded.
         waiting: Reading sets that waited in the server, each second.
         memory_mb: Of the server, each second since the beginning.
@@ -68,6 +69,7 @@ class Observed:
     ages_s: list[float] = field(default_factory=list)
     answers: Counter[str] = field(default_factory=Counter)
     accepted: Counter[str] = field(default_factory=Counter)
+    fixes: Counter[str] = field(default_factory=Counter)
     ticks: Counter[bool] = field(default_factory=Counter)
     waiting: list[float] = field(default_factory=list)
     memory_mb: list[tuple[float, float]] = field(default_factory=list)
@@ -133,6 +135,7 @@ async def listen(
                 latest[name] = t_ms
                 measured_s = seen.measured_s.get((name, t_ms))
                 if measured_s is not None:
+                    seen.fixes[name] += 1
                     seen.latencies_s.append((came_ms - tick["server_ms"]) / 1000.0)
                     seen.ages_s.append(came_s - measured_s)
 
@@ -214,14 +217,14 @@ async def load(building: Building, process: ServerProcess, devices: int, seconds
 def summary(seen: Observed, seconds: float, devices: int) -> dict[str, object]:
     """Return what was seen as numbers."""
     settled = [megabytes for at, megabytes in seen.memory_mb if at >= min(SETTLING_S, seconds / 2)]
-    shares = [seen.accepted[f"phone-{index}"] for index in range(devices)]
     latencies_ms, ages_ms = (1000.0 * np.array(values) for values in (seen.latencies_s, seen.ages_s))
     return {
         "measured": len(seen.measured_s),
         "accepted": seen.accepted.total(),
-        "accepted_of_least_and_most": [min(shares), max(shares)],
+        "accepted_of_least_and_most": _least_and_most(seen.accepted, devices),
         "answers": dict(sorted(seen.answers.items())),
         "fixes_seen": len(latencies_ms),
+        "fixes_seen_of_least_and_most": _least_and_most(seen.fixes, devices),
         "within_200_ms": round(float(np.mean(latencies_ms <= 1000.0 * DEADLINE_S)), 5),
         "latency_p50_ms": _percentile(latencies_ms, 50),
         "latency_p99_ms": _percentile(latencies_ms, 99),
@@ -232,6 +235,11 @@ def summary(seen: Observed, seconds: float, devices: int) -> dict[str, object]:
         "memory_mb": round(settled[-1], 1),
         "memory_growth": round(settled[-1] / settled[0] - 1, 4),
     }
+
+
+def _least_and_most(counts: Counter[str], devices: int) -> list[int]:
+    shares = [counts[f"phone-{index}"] for index in range(devices)]
+    return [min(shares), max(shares)]
 
 
 def _percentile(values: NDArray[np.float64], share: float) -> float:

@@ -21,7 +21,7 @@ COLUMNS = (
     ("p50, ms", "latency_p50_ms"),
     ("p99, ms", "latency_p99_ms"),
     ("age p50, ms", "age_p50_ms"),
-    ("taken in, least and most", "accepted_of_least_and_most"),
+    ("fixes seen, least and most", "fixes_seen_of_least_and_most"),
     ("refused", "refused"),
     ("most waiting", "most_waiting"),
     ("server, cores", "server_cores"),
@@ -68,7 +68,8 @@ put off; at most {steady["most_waiting"]} waited.
 99 % are in time up to {in_time} phones. Past that, ticks begin late; then every phone is held to the same time
 between uploads (`fploc_upload_spacing_seconds`; answers `503` with `Retry-After`), live messages say `is_overloaded`
 and the map says so. Phones send what they kept in one upload, which costs less. At most about 5000 reading sets of
-a site wait, all phones alike; then nothing is taken in until there is room. Positions grow older, none is lost.
+a site wait; then nothing is taken in until there is room. Positions grow older, nothing acknowledged is lost. Far
+past the deadline (300 phones and more) it is chance whose upload finds room, and shares differ.
 
 ## Killed in mid-load
 
@@ -95,7 +96,7 @@ def _cell(key: str, value: Any) -> str:
             return _percent(value)
         case "refused":
             return str(_refused(value))
-        case "accepted_of_least_and_most":
+        case "fixes_seen_of_least_and_most":
             return f"{value[0]}, {value[1]}"
         case _:
             return f"{value:.0f}" if key.endswith("_ms") else str(value)

@@ -26,7 +26,7 @@ def test_phones_may_upload_as_often_as_they_like_while_ticks_are_in_time() -> No
 def test_late_ticks_hold_every_phone_to_the_same_time_between_uploads() -> None:
     clock = Clock()
     spacing = UploadSpacing(clock)
-    for _ in range(8):
+    for _ in range(14):
         spacing.note_tick(0.1, TICK_S)
     uploads = {"often": 0, "seldom": 0}
     for step in range(1000):
