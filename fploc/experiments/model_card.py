@@ -27,7 +27,7 @@ Repaired labels, RMSE with the last fix held. These are development sites: metho
 
 {table}
 **Limits.** The offset is that of two phones of the public recordings; other phones may need another
-(`--calibration`). It learned from a robot that moves at 0.05 to 0.1 m/s, in five places of one campus and one mall.
+(`--calibration`). It learned from a robot that moves at 0.05 to 0.1 m/s, in four places, one of them a mall.
 Where the stated 95 % region holds less than 90 % above, its covariance is too small.
 """
 

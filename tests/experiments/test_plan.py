@@ -104,7 +104,13 @@ def test_all_methods_are_compared_where_nothing_is_learned_of_a_target_and_the_s
     assert methods_for("seen", full) == list(full.methods)
     assert set(methods_for("zero-shot", full)) == set(full.methods) - {"knn"}
     for protocol in set(full.protocols) - {"seen", "zero-shot"}:
-        assert set(methods_for(protocol, full)) == {"trilateration", "nls-onesided", "gnn", "gnn-fpdnn"}
+        assert set(methods_for(protocol, full)) == {
+            "trilateration",
+            "nls-onesided",
+            "learned-grid",
+            "gnn",
+            "gnn-fpdnn",
+        }
     every = replace(full, methods=METHODS)
     assert set(methods_for("zero-shot", every)) == set(METHODS) - {"knn"}
     assert {"knn", "gbm"} <= set(methods_for("seen", every))
