@@ -8,13 +8,24 @@ import signal
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import pytest
 
+if TYPE_CHECKING:
+    from fploc.evaluation.records import TrackedRecord
+
 ROOT = Path(__file__).parents[1]
+
+PLAIN: dict[str, object] = {
+    "method": "gnn-fpdnn", "protocol": "zero-shot", "site": "shopping-mall", "device": 1, "labels": "repaired",
+    "calibration": "source-los", "plan": "real", "speed_prior": 0.5, "smoother": False, "thin": 1,
+    "filter": "kalman", "preset": "full", "seed": 0, "n": 100, "n_before_first_fix": 0, "no_fix_share": 0.0,
+    "rmse_m": 1.0, "rmse_fixed_m": 1.0, "mae_m": 0.9, "p50_m": 0.8, "p90_m": 1.6, "p95_m": 2.0,
+    "coverage95": 0.9, "nees": 2.0, "ms_per_fix": 0.5, "artifact": None, "commit": "abc",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -59,3 +70,15 @@ def interruptible() -> Iterator[None]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session")
+def made() -> Callable[..., TrackedRecord]:
+    """Return what makes a record: of zero-shot gnn-fpdnn with KF in the mall, but for what is named."""
+    from fploc.evaluation.records import Record, TrackedRecord
+
+    def made(rmse_m: float | None = 1.0, *, made_up: bool = False, **changes: object) -> TrackedRecord:
+        values = PLAIN | {"rmse_m": rmse_m} | changes
+        return TrackedRecord(Record(**values), "run", "hash", made_up)  # type: ignore[arg-type]
+
+    return made

@@ -21,6 +21,7 @@ from fploc.datasets.describe import (
     overlay,
     reasons_text,
     table_rows,
+    writable,
     write_picture,
 )
 from fploc.datasets.link_errors import LinkErrors, link_errors
@@ -29,8 +30,6 @@ from fploc.datasets.packed import MANIFEST, PackedSite, read_packed
 from fploc.datasets.pages import Block, Code, Grid, Page, Picture, Section, Text, to_html, to_markdown
 from fploc.datasets.reading_example import reading_example
 from fploc.datasets.recordings import Floats, Recording
-from fploc.errors import FplocError
-from fploc.files import whole
 from fploc.plots.link_errors import MOST_WALLS, plot_errors_by_walls, walls_text
 from fploc.plots.recordings import MeasuredValues, plot_heard_shares, plot_measured_values, plot_time_steps
 from fploc.progress import track
@@ -411,15 +410,6 @@ def _sentence(text: str) -> str:
 
 
 def _write(text: str, target: Path) -> Path:
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with whole(target) as part:
-            part.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FplocError(
-            str(target),
-            value=error.strerror or str(error),
-            expected="a folder with room to write to",
-            way_out="free some space, or name another folder",
-        ) from error
+    with writable(target) as part:
+        part.write_text(text, encoding="utf-8")
     return target

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -197,10 +198,22 @@ def write_picture(figure: Figure, target: Path) -> Path:
     Raises:
         FplocError: If it cannot be written.
     """
+    with writable(target) as part:
+        figure.savefig(part, format="png", dpi=_DOTS_PER_INCH)
+    return target
+
+
+@contextmanager
+def writable(target: Path) -> Iterator[Path]:
+    """Yield a name to write to that becomes ``target`` in one move; its folder is made where it is missing.
+
+    Raises:
+        FplocError: If it cannot be written.
+    """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with whole(target) as part:
-            figure.savefig(part, format="png", dpi=_DOTS_PER_INCH)
+            yield part
     except OSError as error:
         raise FplocError(
             str(target),
@@ -208,7 +221,6 @@ def write_picture(figure: Figure, target: Path) -> Path:
             expected="a folder with room to write to",
             way_out="free some space, or name another folder",
         ) from error
-    return target
 
 
 def _paths(recordings: Sequence[Recording]) -> dict[str, Floats]:

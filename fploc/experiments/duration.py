@@ -14,6 +14,9 @@ from fploc.conf import instantiate
 from fploc.datasets.samples import LabelledIntervals
 from fploc.experiments.plan import SEEN, Learning
 from fploc.experiments.preset import Preset
+from fploc.floorplan.crop import Crops
+from fploc.floorplan.raster import CropSettings
+from fploc.intervals import Links
 from fploc.models.fpdnn import FPDNN, Sight
 from fploc.models.generator import Generator
 
@@ -68,31 +71,31 @@ def announce_duration(preset: Preset, measured: MeasuredDataModule, chains: Sequ
 
 def _generator_loss(preset: Preset, batch: LabelledIntervals, device: str) -> Callable[[], torch.Tensor]:
     network = instantiate(Generator, preset.network_specs["generator"]).to(device)
-    moved = batch.to(device)
-    links = moved.links
-    ends = moved.positions[links.device]
 
-    def loss() -> torch.Tensor:
-        crops = network.vision.crops.crop(moved.plan, links.access_points, ends)
+    def of_links(crops: Crops, links: Links) -> torch.Tensor:
         return network(crops.images, crops.lengths_px, links.ranges).log_prob_error(links.ranges).sum()
 
-    return loss
+    return _loss(network.vision.crops, of_links, batch.to(device))
 
 
 def _fpdnn_loss(preset: Preset, batch: LabelledIntervals, device: str) -> Callable[[], torch.Tensor]:
     network = instantiate(FPDNN, preset.network_specs["fpdnn"]).to(device)
-    moved = batch.to(device)
-    links = moved.links
-    ends = moved.positions[links.device]
 
-    sight = torch.full_like(links.device, Sight.PLAN)
-
-    def loss() -> torch.Tensor:
-        crops = network.vision.crops.crop(moved.plan, links.access_points, ends)
+    def of_links(crops: Crops, links: Links) -> torch.Tensor:
+        sight = torch.full_like(links.device, Sight.PLAN)
         distances: torch.Tensor = network(crops.images, crops.lengths_px, links.ranges, links.rss, sight)
         return distances.sum()
 
-    return loss
+    return _loss(network.vision.crops, of_links, batch.to(device))
+
+
+def _loss(
+    settings: CropSettings, of_links: Callable[[Crops, Links], torch.Tensor], batch: LabelledIntervals
+) -> Callable[[], torch.Tensor]:
+    """Return what crops every link of a batch and takes a loss of the crops."""
+    links = batch.links
+    ends = batch.positions[links.device]
+    return lambda: of_links(settings.crop(batch.plan, links.access_points, ends), links)
 
 
 def _seconds(step: Callable[[], object]) -> float:

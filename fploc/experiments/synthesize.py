@@ -246,27 +246,22 @@ def _readings(
 def _maps(target: PackedSite, virtual: VirtualSite, source: str) -> dict[str, Figure]:
     maps = generator_maps(virtual)
     title = f"{target.site.name}: generator learned on {source}"
+    kinds = {
+        RANGE_MAP: (maps.range_error_m, "RTT error", "mean of range − distance [m]", "viridis"),
+        RSS_MAP: (maps.rss_dbm, "RSS", "mean RSS [dBm]", "plasma"),
+    }
     return {
-        RANGE_MAP: plot_generator_maps(
+        file: plot_generator_maps(
             target.plan,
             target.site,
             maps.grid,
-            maps.range_error_m,
-            title=f"{title}, mean synthetic RTT error",
-            label="mean of range − distance [m]",
-            colours="viridis",
-            limits=shown_limits(maps.range_error_m),
-        ),
-        RSS_MAP: plot_generator_maps(
-            target.plan,
-            target.site,
-            maps.grid,
-            maps.rss_dbm,
-            title=f"{title}, mean synthetic RSS",
-            label="mean RSS [dBm]",
-            colours="plasma",
-            limits=shown_limits(maps.rss_dbm),
-        ),
+            values,
+            title=f"{title}, mean synthetic {name}",
+            label=label,
+            colours=colours,
+            limits=shown_limits(values),
+        )
+        for file, (values, name, label, colours) in kinds.items()
     }
 
 

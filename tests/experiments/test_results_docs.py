@@ -1,62 +1,38 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from fploc.errors import MissingFileError
-from fploc.evaluation.records import Record, TrackedRecord, read_tracked_records, write_records
+from fploc.evaluation.records import TrackedRecord, read_tracked_records, write_records
 from fploc.experiments.results_docs import page_of, update_docs
 
-RECORD = Record(
-    method="nls",
-    protocol="zero-shot",
-    site="shopping-mall",
-    device=1,
-    labels="repaired",
-    calibration="source-los",
-    plan="real",
-    speed_prior=0.5,
-    smoother=False,
-    thin=1,
-    filter="kalman",
-    preset="full",
-    seed=0,
-    n=100,
-    n_before_first_fix=0,
-    no_fix_share=0.0,
-    rmse_m=1.5,
-    rmse_fixed_m=1.5,
-    mae_m=1.2,
-    p50_m=1.0,
-    p90_m=2.0,
-    p95_m=2.5,
-    coverage95=0.9,
-    nees=2.0,
-    ms_per_fix=0.1,
-    artifact=None,
-    commit="abc",
-)
+MakeRecord = Callable[..., TrackedRecord]
 
 
-def finished(runs: Path, preset: str, facts: dict[str, Any]) -> None:
+def finished(made: MakeRecord, runs: Path, preset: str, facts: dict[str, Any]) -> None:
     """Leave behind what a finished run of a preset leaves, with one record."""
     (runs / preset).mkdir(parents=True)
-    record = TrackedRecord(replace(RECORD, preset=preset), run_id="r", data_hash="d", made_up=False)
-    write_records([record], runs / preset / "records.jsonl")
+    write_records([made(preset=preset)], runs / preset / "records.jsonl")
     (runs / preset / "facts.json").write_text(json.dumps(facts))
 
 
-def test_runs_are_joined_and_costs_say_whose_they_are(tmp_path: Path) -> None:
+def test_runs_are_joined_and_costs_say_whose_they_are(made: MakeRecord, tmp_path: Path) -> None:
     runs, docs = tmp_path / "runs", tmp_path / "docs"
     docs.mkdir()
     finished(
-        runs, "full", {"training_cost": [{"stage": "train--a", "seconds": 3.0}], "ablations": {"x": "why"}}
+        made,
+        runs,
+        "full",
+        {"training_cost": [{"stage": "train--a", "seconds": 3.0}], "ablations": {"x": "why"}},
     )
-    finished(runs, "published", {"training_cost": [{"stage": "train--b", "seconds": 4.0}], "ablations": {}})
+    finished(
+        made, runs, "published", {"training_cost": [{"stage": "train--b", "seconds": 4.0}], "ablations": {}}
+    )
     rate = {"network": "generator", "site": "office", "threads": 1, "links_per_s": 5000.0}
     (runs / "virtual-stream.json").write_text(json.dumps([rate]))
     page = update_docs(runs, docs)

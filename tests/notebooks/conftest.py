@@ -38,7 +38,13 @@ def execute() -> Execute:
             patch.setenv("FPLOC_DATA", str(data_root))
             patch.setenv("FPLOC_RUNS", str(runs))
             place = {"metadata": {"path": str(path.parent)}}
-            client = NotebookClient(notebook, timeout=TIMEOUT_S, kernel_name="python3", resources=place)
+            client = NotebookClient(
+                notebook,
+                timeout=TIMEOUT_S,
+                startup_timeout=TIMEOUT_S,
+                kernel_name="python3",
+                resources=place,
+            )
             return client.execute()
 
     return execute

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import nbformat
-import pytest
 
 from fploc.sites.registry import known_sites, load_spec
 
@@ -38,9 +37,3 @@ def test_plan_and_crops_are_shown_as_ours_and_the_papers(
     assert len(shown) == overlay + free + links + paper + distorted + blank + elsewhere
     tables = outputs(notebook, "text/markdown")
     assert len(tables) == 2 and "| AP1 |" in tables[0] and "| tokens |" in tables[1]
-
-
-@pytest.mark.parametrize("name", ["01", "02"])
-def test_without_data_a_notebook_says_what_to_run(name: str, tmp_path: Path, execute: Execute) -> None:
-    with pytest.raises(Exception, match="fploc data build"):
-        execute(name, tmp_path, tmp_path)
