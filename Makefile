@@ -15,7 +15,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks model results describe docs docs-serve picture mutants demo soak
+.PHONY: help install reproduce test lint ui notebooks model results describe docs docs-serve picture demo soak
 .PHONY: lock wheel clean
 
 help: ## List every target

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 DATABASE = "mlflow.db"
 ARTIFACTS = "mlflow-artifacts"
+NOTE = "mlflow.note.content"
+"""Tag that the UI shows as the description of an experiment."""
 
 
 class RunLog:
@@ -25,12 +27,13 @@ class RunLog:
     Args:
         folder: Holds the store ``mlflow.db`` and the runs' files.
         experiment: Name of the experiment.
+        note: What the experiment shows, above its runs; empty keeps what stands there.
 
     Raises:
         BadFileError: If the store is none, or cannot be written to; as ``record``.
     """
 
-    def __init__(self, folder: Path, experiment: str) -> None:
+    def __init__(self, folder: Path, experiment: str, note: str = "") -> None:
         os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
         os.environ.setdefault("MLFLOW_LOGGING_LEVEL", "ERROR")
         import mlflow
@@ -49,6 +52,8 @@ class RunLog:
                 if found is None
                 else found.experiment_id
             )
+            if note:
+                self._client.set_experiment_tag(self._experiment, NOTE, note)
         self._name = experiment
 
     def record(

@@ -27,6 +27,7 @@ from fploc.evaluation.revision import running_commit
 from fploc.evaluation.run_log import RunLog
 from fploc.experiments.duration import announce_duration
 from fploc.experiments.learning import GENERATOR, Learner
+from fploc.experiments.overviews import record_overviews
 from fploc.experiments.plan import (
     CALIBRATIONS,
     EQUIPMENT,
@@ -331,6 +332,7 @@ class Reproduction:
             {name: book.cost(name) for name in trained},
             [self._match_file(site) for site in self._synthesized()],
         )
+        record_overviews(read_tracked_records(self.folder / RECORDS), self.preset.name, self.runs)
 
     def _synthesized(self) -> list[str]:
         """Return the sites that the generator's maps are drawn of."""

@@ -23,6 +23,7 @@ from fploc.cli import main
 from fploc.datasets.download import Patience, download
 from fploc.datasets.packed import read_packed
 from fploc.evaluation.records import Record, tracked_record
+from fploc.experiments.overviews import experiment_name
 from fploc.experiments.plan import Scoring
 from fploc.experiments.preset import Preset
 from fploc.experiments.reproduce import EXPERIMENT, Reproduction
@@ -232,6 +233,19 @@ def test_runs_are_tagged_by_kind_and_hold_figures_and_models(calls: Calls) -> No
         expected = {f"{name}.safetensors" for name in networks} | ({"artifact.json"} if networks else set())
         assert model == expected
         assert run.data.params["preset"] == "smoke" and run.info.status == "FINISHED"
+
+
+def test_an_experiment_of_each_protocol_compares_methods_by_their_runs(calls: Calls) -> None:
+    client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{calls.root / 'runs' / 'mlflow.db'}")
+    records = [tracked_record(line) for line in (calls.folder / "records.jsonl").read_text().splitlines()]
+    for protocol, site in (("seen", "made-up-1"), ("zero-shot", "made-up-2")):
+        found = client.get_experiment_by_name(experiment_name(protocol, "smoke"))
+        assert found is not None and "Made-up buildings" in found.tags["mlflow.note.content"]
+        runs = {run.info.run_name: run for run in client.search_runs([found.experiment_id])}
+        assert set(runs) == {"nls", "gnn", "gnn-fpdnn"}
+        for one in (tracked.record for tracked in records):
+            if (one.protocol, one.labels, one.filter) == (protocol, "repaired", "kalman"):
+                assert runs[one.method].data.metrics[f"{site}/device {one.device} rmse_m"] == one.rmse_m
 
 
 def test_trainings_log_their_curves(calls: Calls) -> None:
