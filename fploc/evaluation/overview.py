@@ -21,7 +21,7 @@ def overview(records: Sequence[TrackedRecord]) -> Overview:
 
     Headline records against repaired labels, behind the filter over time or the method's own. A number is named
     ``SITE/device N rmse_m``. Under ``EVERYWHERE`` stands the mean over places where every method of the protocol was
-    scored.
+    scored. A place without any fix has no number.
 
     Args:
         records: Of one preset.
@@ -29,7 +29,8 @@ def overview(records: Sequence[TrackedRecord]) -> Overview:
     values: dict[str, dict[str, dict[str, list[float]]]] = {}
     for tracked in headline_records(records):
         one = tracked.record
-        if one.labels == LABELS and one.filter == _shown_filter(one, records):
+        shown = one.labels == LABELS and one.filter == _shown_filter(one, records)
+        if shown and one.rmse_m is not None:
             methods = values.setdefault(one.protocol, {})
             place = f"{one.site}/device {one.device} rmse_m"
             methods.setdefault(one.method, {}).setdefault(place, []).append(one.rmse_m)
