@@ -350,7 +350,7 @@ def _serve_parser() -> ArgumentParser:
     parser.add_argument(
         "--site", type=str | None, default=None, help="Packed sites, names or folders, commas between."
     )
-    parser.add_argument("--model", type=str, default="nls-onesided", help="Name of the method.")
+    parser.add_argument("--model", type=str, default="default", help="Name of the method.")
     parser.add_argument("--calibration", type=str | None, default=None, help="none, source-los, … or metres.")
     parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")
     parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")

@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from served_building import Building, Connection, endless, message, printed, start_server, written
+from served_building import METHOD, Building, Connection, endless, message, printed, start_server, written
 
 from fploc.calibration.offsets import RangeOffsets
 from fploc.filters.kalman import KalmanSettings
@@ -104,7 +104,7 @@ class Phones:
 def expected(building: Building, index: int, intervals: list[Interval]) -> list[tuple[float, float | None]]:
     """Return times and x of an uninterrupted session."""
     localizer = Localizer(
-        geometric_method("nls-onesided"),
+        geometric_method(METHOD),
         building.site,
         RangeOffsets("soak", building.offset_m),
         KalmanSettings(),

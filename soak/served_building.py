@@ -35,6 +35,7 @@ from fploc.sites.made_up import LINE_OF_SIGHT_OFFSET_M, made_up_site
 from fploc.sites.site import Site
 
 SEED = 7
+METHOD = "nls-onesided"
 PERIOD_S = 0.2
 STARTS_WITHIN_S = 240.0
 POLL_S = 0.05
@@ -111,7 +112,7 @@ class ServerProcess:
 def start_server(building: Building, port: int = 0) -> ServerProcess:
     """Start a server of the building and return once it listens."""
     command = [
-        sys.executable, "-m", "fploc", "serve", "--site", building.site.name,
+        sys.executable, "-m", "fploc", "serve", "--site", building.site.name, "--model", METHOD,
         "--data-root", str(building.folder), "--calibration", str(building.offset_m),
         "--database", building.database, "--port", str(port),
     ]  # fmt: skip

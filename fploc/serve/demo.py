@@ -12,13 +12,14 @@ from pathlib import Path
 from fploc.datasets.build import build_sites
 from fploc.datasets.packed import read_packed
 from fploc.serve.app import make_app
-from fploc.serve.models import DEFAULT_METHOD, ModelRequest, served_site
+from fploc.serve.models import ModelRequest, served_site
 from fploc.serve.phones import Conditions, Server, Walk, send_walks
 from fploc.serve.recorded import recorded_intervals
 from fploc.serve.server import announcement, listening_socket, server_of
 from fploc.serve.settings import ServeSettings
 from fploc.serve.store import Store, sqlite_url
 from fploc.serve.tokens import Scope, make_token
+from fploc.shipped import DEFAULT
 from fploc.sites.made_up import LINE_OF_SIGHT_OFFSET_M, made_up_site
 
 SEED = 7
@@ -46,7 +47,7 @@ async def _demo(folder: Path, port: int) -> None:
     name = f"made-up-{SEED}"
     if not (folder / "packed" / name).is_dir():
         build_sites(None, folder, [made_up_site(SEED, folder / "files", laps=LAPS, duration_s=LAP_S)])
-    request = ModelRequest(DEFAULT_METHOD, str(LINE_OF_SIGHT_OFFSET_M), WALKING_MPS, "default", 0, folder)
+    request = ModelRequest(DEFAULT, str(LINE_OF_SIGHT_OFFSET_M), WALKING_MPS, "default", 0, folder)
     site = served_site(folder, name, request)
     store = Store(sqlite_url(folder / "state"))
     token = make_token(store, "demo phones", frozenset({Scope.UPLOAD}), days=1.0, now_ms=time.time() * 1000.0)

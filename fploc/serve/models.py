@@ -15,8 +15,8 @@ from fploc.methods.interface import Filtering, Method
 from fploc.methods.registry import GEOMETRIC_METHODS, default_calibration, geometric_method
 from fploc.serve.messages import PlanPlace
 from fploc.serve.site_service import ServedSite
+from fploc.shipped import DEFAULT, shipped_localizer
 
-DEFAULT_METHOD = "nls-onesided"
 PROTOCOL = "zero-shot"
 
 
@@ -71,7 +71,7 @@ def served_site(data_root: Path, name: str, request: ModelRequest) -> ServedSite
     )
     asked.check()
     packed = read_packed(data_root, name)
-    method, offsets = _ready(asked, request, data_root)
+    method, offsets = _ready(asked, request, packed)
     if isinstance(method, Filtering):
         localizer = Localizer(method.for_speed(request.speed_prior), packed.site, offsets)
     else:
@@ -80,18 +80,31 @@ def served_site(data_root: Path, name: str, request: ModelRequest) -> ServedSite
     return ServedSite(localizer, plan_place(packed), (packed.folder / PLAN).read_bytes())
 
 
-def _ready(asked: EvaluationRequest, request: ModelRequest, data_root: Path) -> tuple[Method, RangeOffsets]:
+def _ready(
+    asked: EvaluationRequest, request: ModelRequest, packed: PackedSite
+) -> tuple[Method, RangeOffsets]:
+    data_root = packed.folder.parent.parent
+    if request.method == DEFAULT:
+        # An evaluation leaves out what was learned at the site itself; people want all that there is.
+        shipped = shipped_localizer(packed.site, packed.plan)
+        if request.calibration is None:
+            return shipped.method, shipped.offsets
+        return shipped.method, _offsets(asked, request.calibration, data_root)
     if request.method in GEOMETRIC_METHODS:
         own = default_calibration(request.method) if request.calibration is None else request.calibration
-        calibrated = EvaluationRequest(asked.protocol, asked.site, calibration=own)
-        calibrated.check()
-        return geometric_method(request.method), source_offsets(calibrated, data_root)
+        return geometric_method(request.method), _offsets(asked, own, data_root)
     # Only learned methods need all of this, which takes seconds to import.
     from fploc.experiments.scoring import check_method, ready_method
 
     check_method(request.method)
     ready = ready_method(request.method, asked, request.calibration, data_root, request.runs)
     return ready.method, ready.offsets
+
+
+def _offsets(asked: EvaluationRequest, calibration: str, data_root: Path) -> RangeOffsets:
+    calibrated = EvaluationRequest(asked.protocol, asked.site, calibration=calibration)
+    calibrated.check()
+    return source_offsets(calibrated, data_root)
 
 
 def plan_place(packed: PackedSite) -> PlanPlace:

@@ -25,6 +25,7 @@ from fploc.serve.recorded import recorded_intervals
 from fploc.serve.rows import FixRow, WaitingRow
 from fploc.serve.session import SiteSession
 from fploc.serve.settings import ServeSettings
+from fploc.shipped import shipped_localizer
 from fploc.sites.site import Site
 from fploc.solvers.nonlinear import solve_nonlinear
 
@@ -80,6 +81,16 @@ def test_every_method_gives_the_positions_of_offline_localization(
     offline = localize(made, site, recordings, offsets, KalmanSettings())
     session = SiteSession(Localizer(made, site, offsets, KalmanSettings()), settings)
     fixes = streamed(session, site, recordings, seed=1)
+    for online, track in zip(fixes.values(), offline, strict=True):
+        assert largest_difference_m(online, track) < 1e-4
+
+
+def test_the_default_method_gives_the_positions_of_offline_localization(
+    recordings: list[Recording], localizer: Localizer, settings: ServeSettings
+) -> None:
+    made = shipped_localizer(localizer.site, None)
+    offline = localize(made.method, made.site, recordings, made.offsets, None)
+    fixes = streamed(SiteSession(made, settings), made.site, recordings, seed=1)
     for online, track in zip(fixes.values(), offline, strict=True):
         assert largest_difference_m(online, track) < 1e-4
 
