@@ -29,8 +29,8 @@ def overview(records: Sequence[TrackedRecord]) -> Overview:
     values: dict[str, dict[str, dict[str, list[float]]]] = {}
     for tracked in headline_records(records):
         one = tracked.record
-        shown = one.labels == LABELS and one.filter == _shown_filter(one, records)
-        if shown and one.rmse_m is not None:
+        is_shown = one.labels == LABELS and one.filter == _shown_filter(one, records)
+        if is_shown and one.rmse_m is not None:
             methods = values.setdefault(one.protocol, {})
             place = f"{one.site}/device {one.device} rmse_m"
             methods.setdefault(one.method, {}).setdefault(place, []).append(one.rmse_m)
