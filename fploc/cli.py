@@ -130,9 +130,9 @@ def _add_commands(
     commands = parser.add_subcommands(
         required=required,
         dest=dest,
-        title="commands",
+        title=f"commands (`{parser.prog} COMMAND --help` explains each)",
+        description=" ",
         metavar="COMMAND",
-        description=f"`{parser.prog} COMMAND --help` explains each.",
     )
     for name, (own, meaning) in parsers.items():
         commands.add_subcommand(name, own, help=meaning)
@@ -267,7 +267,7 @@ def _evaluate_parser() -> ArgumentParser:
 def _tune_parser() -> ArgumentParser:
     parser = ArgumentParser(
         description="Choose the settings of a method on the source and write them to conf/method/. "
-        "Example: fploc tune --method nls",
+        "Example: fploc tune --method nls-robust",
         exit_on_error=False,
     )
     parser.add_argument("--method", type=str, required=True, help="Name of the method.")

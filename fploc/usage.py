@@ -48,6 +48,10 @@ class HelpFormatter(ExampleFormatter):
     def _format_usage(self, usage: str | None, actions: Iterable[Action], *args: Any) -> str:
         return super()._format_usage(usage, actions, *args).replace(" [options]", "")
 
+    def add_text(self, text: str | None) -> None:
+        """Take a text in; a blank one, which stands where the parser would say something itself, takes no line."""
+        super().add_text(text if text is None or text.strip() else None)
+
     def add_argument(self, action: Action) -> None:
         """Take an action in; commands are indented, which the width of the column must allow for."""
         super().add_argument(action)

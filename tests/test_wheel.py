@@ -126,8 +126,9 @@ def test_conf_and_registry_are_read_out_of_the_wheel(installed: Path, tmp_path: 
 
 def test_packed_sites_are_described_from_another_folder(installed: Path, tmp_path: Path) -> None:
     build_sites(None, tmp_path / "data", [made_up_site(4, tmp_path / "files", laps=1, duration_s=15.0)])
-    words = ["fploc", "data", "describe", "--data-root", "data", "--out", "pictures", "--json"]
+    words = ["fploc", "data", "describe", "--data-root", "data", "--out", "cards", "--json"]
     done = run(installed, words, tmp_path)
     assert done.returncode == 0, done.stderr
     assert "made-up-4" in json.dumps(json.loads(done.stdout))
-    assert [path.name for path in (tmp_path / "pictures").iterdir()] == ["made-up-4.png"]
+    written = {path.name for path in (tmp_path / "cards").iterdir()}
+    assert {"index.html", "made-up-4.html", "made-up-4.png"} <= written

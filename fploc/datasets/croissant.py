@@ -61,8 +61,7 @@ _CONTEXT: dict[str, Any] = {
 def write_croissant(folder: Path) -> Path:
     """Write ``croissant.json`` into the packed site ``folder`` and return its path.
 
-    Raises:
-        As ``croissant_text``.
+    Raises what ``croissant_text`` raises.
     """
     target = folder / FILE_NAME
     with whole(target) as part:

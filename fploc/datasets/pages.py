@@ -13,7 +13,7 @@ STYLE = "card.css"
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; ``code``, **bold** and [links](target) as in Markdown."""
+    """A paragraph; ``code``, **bold** and links as in Markdown."""
 
     text: str
 

@@ -8,6 +8,7 @@ def reading_example(folder: str) -> str:
     return f"""\
 import json, pathlib
 import pandas as pd
+
 folder = pathlib.Path("{folder}")
 aps = pd.DataFrame(json.loads((folder / "site.json").read_text("utf-8"))["access_points"]).set_index("mac")
 readings = pd.read_parquet(folder / "readings.parquet")  # one row for each access point heard in an interval

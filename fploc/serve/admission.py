@@ -35,7 +35,6 @@ class DeviceClock:
         track: Number of the device's track; grows where it starts anew.
         recording: As the device names it.
         used_ms: Time of the last interval that its state has seen; None before the first.
-        newest_ms: Time of the newest interval accepted; None before the first.
         received_ms: Server's clock when it was accepted.
     """
 

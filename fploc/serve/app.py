@@ -81,7 +81,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         settings: Limits and times.
     """
     metrics = Metrics()
-    uploads = UploadSpacing(time.monotonic)
+    uploads = UploadSpacing(time.monotonic, settings.late_share)
     access = Access(store, settings)
     services: dict[str, SiteService] = {}
     writers: list[StoreWriter] = []

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-LATE_SHARE = 0.25
-"""Of a tick: one that begins later than that waited for requests that were before it."""
 SHORTEST_S = 0.1
 LONGEST_S = 5.0
 WIDER = 1.3
@@ -24,10 +22,12 @@ class UploadSpacing:
 
     Args:
         clock: Seconds, never backwards.
+        late_share: Of a tick: one that begins later than that waited for requests that were before it.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float], late_share: float) -> None:
         self._clock = clock
+        self._late_share = late_share
         self._refused_at = -float("inf")
         self._uploaded_at: dict[str, float] = {}
         self.spacing_s = 0.0
@@ -51,7 +51,7 @@ class UploadSpacing:
 
     def note_tick(self, late_s: float, tick_s: float) -> None:
         """Note how long after it was due a tick began."""
-        if late_s > LATE_SHARE * tick_s:
+        if late_s > self._late_share * tick_s:
             self.spacing_s = min(LONGEST_S, max(SHORTEST_S, WIDER * self.spacing_s))
         else:
             narrower_s = NARROWER * self.spacing_s
