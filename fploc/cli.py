@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ from jsonargparse import ActionConfigFile, ArgumentError, ArgumentParser, Namesp
 
 from fploc.errors import FplocError, UnknownNameError
 from fploc.files import advice
+from fploc.progress import hush_imports
 from fploc.usage import HelpFormatter, usage_message
 
 if TYPE_CHECKING:
@@ -55,8 +55,7 @@ SITE_FILES = (".yaml", ".yml")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 2 for bad input, 130 when interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    # torch_geometric scripts a function at import, which torch announces the end of.
-    warnings.filterwarnings("ignore", message=".*torch.jit.script.*", category=FutureWarning)
+    hush_imports()
     try:
         if words[:1] == ["fit"]:
             return _fit(words[1:])

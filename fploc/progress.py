@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
@@ -70,6 +71,12 @@ def _console() -> Console:
 def is_shown() -> bool:
     """Return whether progress is shown: stderr is a terminal."""
     return _console().is_terminal
+
+
+def hush_imports() -> None:
+    """Leave out what packages announce to programmers while they are imported: call it before they are."""
+    # torch_geometric scripts a function at import, which torch announces the end of.
+    warnings.filterwarnings("ignore", message=".*torch.jit.script.*", category=FutureWarning)
 
 
 def print_table(rows: Sequence[Mapping[str, str]]) -> None:

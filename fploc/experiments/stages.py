@@ -23,7 +23,7 @@ from types import FrameType
 from fploc.errors import FplocError
 from fploc.evaluation.revision import running_commit
 from fploc.files import whole
-from fploc.progress import is_shown
+from fploc.progress import hush_imports, is_shown
 
 PATIENCE_S = 10.0
 """How long an interrupted process may take to clean up."""
@@ -209,6 +209,7 @@ def _timed(run_by_name: RunByName, name: str) -> float:
 
 def _prepare_process() -> None:
     """Keep progress bars of several processes from writing over each other, and idle ones from complaining."""
+    hush_imports()
     os.environ["TTY_COMPATIBLE"] = "0"
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
