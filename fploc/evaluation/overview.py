@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from fploc.evaluation.records import Record, TrackedRecord
+from fploc.evaluation.records import TrackedRecord
 from fploc.evaluation.report import headline_records
 
 LABELS = "repaired"
@@ -26,21 +26,16 @@ def overview(records: Sequence[TrackedRecord]) -> Overview:
     Args:
         records: Of one preset.
     """
+    filtering = {tracked.record.method for tracked in records if tracked.record.filter == "own"}
     values: dict[str, dict[str, dict[str, list[float]]]] = {}
     for tracked in headline_records(records):
         one = tracked.record
-        is_shown = one.labels == LABELS and one.filter == _shown_filter(one, records)
+        is_shown = one.labels == LABELS and one.filter == ("own" if one.method in filtering else "kalman")
         if is_shown and one.rmse_m is not None:
             methods = values.setdefault(one.protocol, {})
             place = f"{one.site}/device {one.device} rmse_m"
             methods.setdefault(one.method, {}).setdefault(place, []).append(one.rmse_m)
     return {protocol: _with_means(methods) for protocol, methods in values.items()}
-
-
-def _shown_filter(one: Record, records: Sequence[TrackedRecord]) -> str:
-    """Return ``own`` for a method that filters by itself, else ``kalman``."""
-    filters = {tracked.record.filter for tracked in records if tracked.record.method == one.method}
-    return "own" if "own" in filters else "kalman"
 
 
 def _with_means(methods: Mapping[str, Mapping[str, Sequence[float]]]) -> dict[str, dict[str, float]]:

@@ -17,7 +17,6 @@ Axes: B devices, A access points, X and Y cells.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -25,12 +24,10 @@ from torch import Tensor
 
 from fploc.conf import instantiate, read_conf
 from fploc.intervals import Estimate, Intervals, NoFix, estimate
+from fploc.methods.belief_grid import BeliefGrid, blurred, tempered
 from fploc.sites.site import Site
 
 NAME = "bayes-grid"
-SHORTEST_S = 1e-6
-KERNEL_REACH = 4.0
-"""Cells beyond so many standard deviations get nothing of a blur."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +72,7 @@ class BeliefState:
     """Beliefs of a batch of devices.
 
     Args:
-        xs_m: Cell centres along x, shape (X,), metres, site frame.
-        ys_m: Cell centres along y, shape (Y,), metres, site frame.
+        grid: Cells of the site.
         nearness: 1/r from each access point to each cell, shape (A, X · Y), 1/m, float32.
         beliefs: Probability of each cell, shape (B, X, Y).
         t_s: Time of each belief, shape (B,), seconds.
@@ -84,8 +80,7 @@ class BeliefState:
         started: True once a device heard something, shape (B,).
     """
 
-    xs_m: Tensor
-    ys_m: Tensor
+    grid: BeliefGrid
     nearness: Tensor
     beliefs: Tensor
     t_s: Tensor
@@ -119,16 +114,11 @@ class BayesGrid:
 
     def init(self, site: Site, devices: int) -> BeliefState:
         """Return uniform beliefs of ``devices`` devices."""
-        access_points = torch.from_numpy(site.positions_m)
-        xs_m, ys_m = (self._centres(access_points[:, axis]) for axis in (0, 1))
-        cells = torch.cartesian_prod(xs_m, ys_m)
-        distances = torch.cdist(access_points, cells).clamp(min=self.settings.cell_m / 2)
-        shape = (devices, len(xs_m), len(ys_m))
+        grid = BeliefGrid.over(site, cell_m=self.settings.cell_m, margin_m=self.settings.margin_m)
         return BeliefState(
-            xs_m=xs_m,
-            ys_m=ys_m,
-            nearness=distances.reciprocal().float(),
-            beliefs=torch.full(shape, 1 / len(cells), dtype=torch.float64),
+            grid=grid,
+            nearness=grid.distances_m.clamp(min=self.settings.cell_m / 2).reciprocal().float(),
+            beliefs=grid.uniform(devices),
             t_s=torch.zeros(devices, dtype=torch.float64),
             heard_t_s=torch.zeros(devices, dtype=torch.float64),
             started=torch.zeros(devices, dtype=torch.bool),
@@ -152,19 +142,12 @@ class BayesGrid:
             started=state.started | hears,
         )
         reasons = torch.where(hears, int(NoFix.FIXED), int(NoFix.NO_READING))
-        return new, estimate(*self._moments(new), reasons)
-
-    def _centres(self, coordinates: Tensor) -> Tensor:
-        """Return cell centres that cover access points' coordinates, shape (A,), and the margin."""
-        low = float(coordinates.min()) - self.settings.margin_m
-        high = float(coordinates.max()) + self.settings.margin_m
-        count = math.ceil((high - low) / self.settings.cell_m)
-        return low + self.settings.cell_m * (torch.arange(count, dtype=torch.float64) + 0.5)
+        return new, estimate(*new.grid.moments(new.beliefs), reasons)
 
     def _powers(self, state: BeliefState, t_s: Tensor) -> Tensor:
         """Return how much of the likelihood of an interval counts, shape (B,)."""
         since_s = torch.where(state.started, t_s - state.heard_t_s, torch.inf)
-        return (since_s / max(self.settings.correlation_s, SHORTEST_S)).clamp(max=1.0)
+        return tempered(since_s, self.settings.correlation_s)
 
     def _likelihoods(self, state: BeliefState, intervals: Intervals, powers: Tensor) -> Tensor:
         """Return Π (p(m|r) + floor)^power over the access points heard, shape (B, X · Y)."""
@@ -176,41 +159,3 @@ class BayesGrid:
         explained = torch.exp(-torch.maximum(below, above).clamp_(min=0.0)) * (density * state.nearness)
         factors = torch.where(intervals.heard[..., None], explained + model.floor_per_m, 1.0)
         return factors.double().prod(1) ** powers[:, None]
-
-    def _moments(self, state: BeliefState) -> tuple[Tensor, Tensor]:
-        """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of the beliefs."""
-        over_x, over_y = state.beliefs.sum(2), state.beliefs.sum(1)
-        mean_x, mean_y = over_x @ state.xs_m, over_y @ state.ys_m
-        away_x, away_y = state.xs_m - mean_x[:, None], state.ys_m - mean_y[:, None]
-        within_cell = self.settings.cell_m**2 / 12
-        variance_x = (over_x * away_x.square()).sum(1) + within_cell
-        variance_y = (over_y * away_y.square()).sum(1) + within_cell
-        shared = torch.einsum("bxy,bx,by->b", state.beliefs, away_x, away_y)
-        rows = [torch.stack([variance_x, shared], -1), torch.stack([shared, variance_y], -1)]
-        return torch.stack([mean_x, mean_y], -1), torch.stack(rows, -2)
-
-
-def blurred(beliefs: Tensor, spreads: Tensor) -> Tensor:
-    """Blur beliefs by a Gaussian on cells, along x and then along y; what leaves the grid is lost.
-
-    The kernel is the Gaussian of a grid, with the transfer function exp(σ² (cos θ − 1)): its variance is σ²
-    however small σ is, where a sampled Gaussian would stand still (Lindeberg, IEEE PAMI 1990, 12:234).
-
-    Args:
-        beliefs: Shape (B, X, Y).
-        spreads: σ of each device, shape (B,), cells.
-
-    Returns:
-        Shape (B, X, Y).
-    """
-    devices, rows, columns = beliefs.shape
-    reach = math.ceil(KERNEL_REACH * float(spreads.max())) + 2
-    reach = min(reach, max(rows, columns))
-    angles = 2 * torch.pi * torch.arange(reach + 1, dtype=beliefs.dtype, device=beliefs.device)
-    angles = angles / (2 * reach + 1)
-    transfer = torch.exp(spreads[:, None].square() * (angles.cos() - 1))
-    kernels = torch.fft.irfft(transfer, n=2 * reach + 1).clamp(min=0.0).roll(reach, dims=-1)
-    along_x, along_y = kernels[:, None, :, None], kernels[:, None, None, :]
-    moved = torch.nn.functional.conv2d(beliefs[None], along_x, padding=(reach, 0), groups=devices)
-    moved = torch.nn.functional.conv2d(moved, along_y, padding=(0, reach), groups=devices)
-    return moved[0]

@@ -1,4 +1,4 @@
-"""Cells that beliefs are held on, what the plan says of each, and beliefs' moments.
+"""Cells that beliefs are held on, what the plan says of each, and what becomes of beliefs: blur, product, moments.
 
 Axes: B devices, A access points, X and Y cells, C = X · Y.
 """
@@ -15,6 +15,10 @@ from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.walkable import walkable_shares
 from fploc.sites.site import Site
 
+SHORTEST_S = 1e-6
+KERNEL_REACH = 4.0
+"""Cells beyond so many standard deviations get nothing of a blur."""
+
 
 @dataclass(frozen=True)
 class BeliefGrid:
@@ -22,16 +26,16 @@ class BeliefGrid:
 
     Args:
         cell_m: Side of a cell, metres.
-        columns: X, number of cells along x.
-        rows: Y, number of cells along y.
+        xs_m: Centres along x, shape (X,), metres, site frame.
+        ys_m: Centres along y, shape (Y,), metres, site frame.
         cells_m: Centres, shape (C, 2), metres, site frame.
         distances_m: From each access point to each cell, shape (A, C), metres.
         plan_log: Logarithm of how likely the plan alone makes each cell, shape (C,); 0 without a plan.
     """
 
     cell_m: float
-    columns: int
-    rows: int
+    xs_m: Tensor
+    ys_m: Tensor
     cells_m: Tensor
     distances_m: Tensor
     plan_log: Tensor
@@ -50,8 +54,8 @@ class BeliefGrid:
         cells = torch.cartesian_prod(xs_m, ys_m)
         return cls(
             cell_m=cell_m,
-            columns=len(xs_m),
-            rows=len(ys_m),
+            xs_m=xs_m,
+            ys_m=ys_m,
             cells_m=cells,
             distances_m=torch.cdist(access_points, cells),
             plan_log=torch.zeros(len(cells), dtype=torch.float64),
@@ -75,17 +79,20 @@ class BeliefGrid:
 
     def uniform(self, devices: int) -> Tensor:
         """Return beliefs that favour no cell, shape (B, X, Y)."""
-        shape = (devices, self.columns, self.rows)
+        shape = (devices, len(self.xs_m), len(self.ys_m))
         return torch.full(shape, 1 / len(self.cells_m), dtype=torch.float64)
 
     def moments(self, beliefs: Tensor) -> tuple[Tensor, Tensor]:
         """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of beliefs (B, X, Y)."""
-        weights = beliefs.flatten(1)
-        means = weights @ self.cells_m
-        away = self.cells_m - means[:, None, :]
-        covariances = (weights[..., None] * away).mT @ away
-        within_cell = torch.eye(2, dtype=torch.float64) * (self.cell_m**2 / 12)
-        return means, (covariances + covariances.mT) / 2 + within_cell
+        over_x, over_y = beliefs.sum(2), beliefs.sum(1)
+        mean_x, mean_y = over_x @ self.xs_m, over_y @ self.ys_m
+        away_x, away_y = self.xs_m - mean_x[:, None], self.ys_m - mean_y[:, None]
+        within_cell = self.cell_m**2 / 12
+        variance_x = (over_x * away_x.square()).sum(1) + within_cell
+        variance_y = (over_y * away_y.square()).sum(1) + within_cell
+        shared = torch.einsum("bxy,bx,by->b", beliefs, away_x, away_y)
+        rows = [torch.stack([variance_x, shared], -1), torch.stack([shared, variance_y], -1)]
+        return torch.stack([mean_x, mean_y], -1), torch.stack(rows, -2)
 
 
 def _centres(coordinates: Tensor, cell_m: float, margin_m: float) -> Tensor:
@@ -100,3 +107,34 @@ def posterior(before: Tensor, log_likelihoods: Tensor) -> Tensor:
     tiniest = torch.finfo(before.dtype).tiny
     logs = before.flatten(1).clamp(min=tiniest).log() + log_likelihoods
     return torch.softmax(logs, dim=-1).reshape(before.shape)
+
+
+def tempered(since_s: Tensor, correlation_s: float) -> Tensor:
+    """Return the power of a likelihood, shape (B,), so long after the last one whose errors are still the same."""
+    return (since_s / max(correlation_s, SHORTEST_S)).clamp(max=1.0)
+
+
+def blurred(beliefs: Tensor, spreads: Tensor) -> Tensor:
+    """Blur beliefs by a Gaussian on cells, along x and then along y; what leaves the grid is lost.
+
+    The kernel is the Gaussian of a grid, with the transfer function exp(σ² (cos θ − 1)): its variance is σ²
+    however small σ is, where a sampled Gaussian would stand still (Lindeberg, IEEE PAMI 1990, 12:234).
+
+    Args:
+        beliefs: Shape (B, X, Y).
+        spreads: σ of each device, shape (B,), cells.
+
+    Returns:
+        Shape (B, X, Y).
+    """
+    devices, rows, columns = beliefs.shape
+    reach = math.ceil(KERNEL_REACH * float(spreads.max())) + 2
+    reach = min(reach, max(rows, columns))
+    angles = 2 * torch.pi * torch.arange(reach + 1, dtype=beliefs.dtype, device=beliefs.device)
+    angles = angles / (2 * reach + 1)
+    transfer = torch.exp(spreads[:, None].square() * (angles.cos() - 1))
+    kernels = torch.fft.irfft(transfer, n=2 * reach + 1).clamp(min=0.0).roll(reach, dims=-1)
+    along_x, along_y = kernels[:, None, :, None], kernels[:, None, None, :]
+    moved = torch.nn.functional.conv2d(beliefs[None], along_x, padding=(reach, 0), groups=devices)
+    moved = torch.nn.functional.conv2d(moved, along_y, padding=(0, reach), groups=devices)
+    return moved[0]

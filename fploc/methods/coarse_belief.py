@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 
 from fploc.intervals import Intervals
-from fploc.methods.bayes_grid import blurred
-from fploc.methods.belief_grid import BeliefGrid, posterior
+from fploc.methods.belief_grid import BeliefGrid, blurred, posterior, tempered
 from fploc.methods.link_evidence import LinkEvidence, RangeExpectation
 from fploc.sites.site import Site
 
@@ -177,8 +176,3 @@ def _error_bins(grid: BeliefGrid, intervals: Intervals, heard: Tensor) -> Tensor
     steps = (intervals.ranges.double() - LOWEST_ERROR_M) / ERROR_STEP_M
     bins = (steps.float()[..., None] - (grid.distances_m / ERROR_STEP_M).float()).clamp_(0, ERRORS - 1).int()
     return bins.masked_fill_(~heard[..., None], SILENT)
-
-
-def tempered(since_s: Tensor, correlation_s: float) -> Tensor:
-    """Return the power of a likelihood, shape (B,), so long after the last one whose errors are still the same."""
-    return (since_s / correlation_s).clamp(max=1.0)

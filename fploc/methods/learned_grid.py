@@ -28,8 +28,7 @@ from fploc.conf import instantiate, read_conf
 from fploc.errors import FplocError
 from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals, NoFix, estimate
-from fploc.methods.bayes_grid import blurred
-from fploc.methods.belief_grid import posterior
+from fploc.methods.belief_grid import blurred, posterior, tempered
 from fploc.methods.coarse_belief import (
     SILENT,
     CoarseBelief,
@@ -37,7 +36,6 @@ from fploc.methods.coarse_belief import (
     CoarseState,
     Heard,
     table_errors_m,
-    tempered,
 )
 from fploc.methods.interface import Examples
 from fploc.methods.link_evidence import VIEWS

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from fploc.intervals import Intervals, NoFix
-from fploc.methods.bayes_grid import BayesGrid, BayesGridSettings, blurred
+from fploc.methods.bayes_grid import BayesGrid, BayesGridSettings
+from fploc.methods.belief_grid import blurred
 from fploc.sites.site import AccessPoint, Site
 
 CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0)]
@@ -52,9 +53,9 @@ def test_one_interval_is_the_product_of_the_stated_densities() -> None:
     method = BayesGrid(COARSE)
     measured = [5.1, 7.2, 0.0, 4.9]
     state, found = method.step(method.init(SITE, 1), interval([measured]))
-    logs = np.zeros((len(state.xs_m), len(state.ys_m)))
-    for row, x in enumerate(state.xs_m.tolist()):
-        for column, y in enumerate(state.ys_m.tolist()):
+    logs = np.zeros((len(state.grid.xs_m), len(state.grid.ys_m)))
+    for row, x in enumerate(state.grid.xs_m.tolist()):
+        for column, y in enumerate(state.grid.ys_m.tolist()):
             for range_m, (ap_x, ap_y) in zip(measured, CORNERS, strict=True):
                 if range_m > 0:
                     distance = max(math.hypot(x - ap_x, y - ap_y), COARSE.cell_m / 2)
@@ -63,13 +64,13 @@ def test_one_interval_is_the_product_of_the_stated_densities() -> None:
     expected = np.exp(logs - logs.max())
     expected /= expected.sum()
     np.testing.assert_allclose(state.beliefs[0].numpy(), expected, rtol=1e-4, atol=1e-12)
-    mean_x = (expected.sum(1) * state.xs_m.numpy()).sum()
+    mean_x = (expected.sum(1) * state.grid.xs_m.numpy()).sum()
     assert float(found.positions[0, 0]) == pytest.approx(mean_x, abs=1e-4)
 
 
 def test_the_grid_covers_the_access_points_and_the_margin() -> None:
     state = BayesGrid(COARSE).init(SITE, 3)
-    for cells, size in ((state.xs_m, 8.0), (state.ys_m, 6.0)):
+    for cells, size in ((state.grid.xs_m, 8.0), (state.grid.ys_m, 6.0)):
         assert float(cells[0]) == -2.0 + 0.25 and float(cells[-1]) == size + 2.0 - 0.25
     torch.testing.assert_close(state.beliefs.sum((1, 2)), torch.ones(3, dtype=torch.float64))
 
