@@ -16,6 +16,7 @@ import pytest
 
 if TYPE_CHECKING:
     from fploc.evaluation.records import TrackedRecord
+    from fploc.methods.gnn_fpdnn import GNNFPDNN
 
 ROOT = Path(__file__).parents[1]
 
@@ -62,6 +63,33 @@ def data_root(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("data-root")
     build_sites(source, root, known_sites())
     return root
+
+
+@pytest.fixture
+def untrained_chain() -> GNNFPDNN:
+    """The paper's chain with small networks that have learned nothing, on a plan of noise, 40 × 20 m."""
+    import torch
+
+    from fploc.filters.kalman import KalmanSettings
+    from fploc.floorplan.raster import PlanRaster
+    from fploc.methods.gnn import GNNMethod
+    from fploc.methods.gnn_fpdnn import GNNFPDNN
+    from fploc.models.deepvit import DeepViT
+    from fploc.models.fpdnn import FPDNN, DistanceHead
+    from fploc.models.gnn import GNN
+    from fploc.solvers.nonlinear import solve_nonlinear
+
+    torch.manual_seed(5)
+    vision = DeepViT(20, 200, (20, 10), dim=8, depth=1, num_heads=2, head_dim=4)
+    return GNNFPDNN(
+        coarse=GNNMethod(GNN(hidden=8, message_width=4, layers=2).eval(), variance_m2=1.0),
+        network=FPDNN(vision, DistanceHead(64)).eval(),
+        plan=PlanRaster(torch.rand(200, 400), torch.tensor([[10.0, 0.0, 20.0], [0.0, -10.0, 180.0]])),
+        crops=vision.crops,
+        solver=solve_nonlinear,
+        sigma_m=0.5,
+        filter_settings=KalmanSettings(),
+    )
 
 
 @pytest.fixture(autouse=True)

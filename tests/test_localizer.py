@@ -11,18 +11,12 @@ from fploc.calibration.offsets import RangeOffsets
 from fploc.calibration.ranges import calibrated_plan_ranges, plan_ranges
 from fploc.datasets.recordings import Recording
 from fploc.filters.kalman import KalmanSettings
-from fploc.floorplan.raster import PlanRaster
 from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.localizer import Localizer, Track, localize
-from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.one_shot import Memoryless, OneShotMethod
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
-from fploc.models.deepvit import DeepViT
-from fploc.models.fpdnn import FPDNN, DistanceHead
-from fploc.models.gnn import GNN
 from fploc.sites.site import AccessPoint, Site
-from fploc.solvers.nonlinear import solve_nonlinear
 
 SITE = Site(
     name="box",
@@ -190,22 +184,11 @@ def test_a_device_without_any_reading_has_no_fix_and_no_error() -> None:
     assert np.isnan(track.filtered.positions_m).all()
 
 
-def test_refining_all_rows_together_equals_stepping_through_time() -> None:
-    torch.manual_seed(5)
-    vision = DeepViT(20, 200, (20, 10), dim=8, depth=1, num_heads=2, head_dim=4)
-    method = GNNFPDNN(
-        coarse=GNNMethod(GNN(hidden=8, message_width=4, layers=2).eval(), variance_m2=1.0),
-        network=FPDNN(vision, DistanceHead(64)).eval(),
-        plan=PlanRaster(torch.rand(200, 400), torch.tensor([[10.0, 0.0, 20.0], [0.0, -10.0, 180.0]])),
-        crops=vision.crops,
-        solver=solve_nonlinear,
-        sigma_m=0.5,
-        filter_settings=KalmanSettings(),
-    )
+def test_refining_all_rows_together_equals_stepping_through_time(untrained_chain: GNNFPDNN) -> None:
     laps = [recording(40, seed=1), recording(25, seed=2, device=2)]
-    together = localize(method, SITE, laps, NONE, KalmanSettings())
+    together = localize(untrained_chain, SITE, laps, NONE, KalmanSettings())
     for track in together:
-        localizer = Localizer(method, SITE, NONE, KalmanSettings())
+        localizer = Localizer(untrained_chain, SITE, NONE, KalmanSettings())
         state = localizer.init(1)
         one = track.recording
         for step in range(len(one)):

@@ -6,20 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from fploc.datasets.packed import read_packed
 from fploc.datasets.recordings import Recording
 from fploc.evaluation.evaluate import EvaluationRequest, source_offsets
 from fploc.filters.kalman import KalmanSettings
-from fploc.floorplan.raster import PlanRaster
 from fploc.localizer import Localizer, Track, localize
-from fploc.methods.gnn import GNNMethod
 from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.registry import GEOMETRIC_METHODS, default_calibration, geometric_method
-from fploc.models.deepvit import DeepViT
-from fploc.models.fpdnn import FPDNN, DistanceHead
-from fploc.models.gnn import GNN
 from fploc.serve.messages import Interval, Measurements, Position, Reading
 from fploc.serve.recorded import recorded_intervals
 from fploc.serve.rows import FixRow, WaitingRow
@@ -27,7 +21,6 @@ from fploc.serve.session import SiteSession
 from fploc.serve.settings import ServeSettings
 from fploc.shipped import shipped_localizer
 from fploc.sites.site import Site
-from fploc.solvers.nonlinear import solve_nonlinear
 
 BOX_MAC = "00:00:00:00:00:0{}"
 
@@ -96,22 +89,14 @@ def test_the_default_method_gives_the_positions_of_offline_localization(
 
 
 def test_the_papers_chain_gives_the_positions_of_offline_localization(
-    recordings: list[Recording], localizer: Localizer, settings: ServeSettings
+    recordings: list[Recording],
+    localizer: Localizer,
+    settings: ServeSettings,
+    untrained_chain: GNNFPDNN,
 ) -> None:
-    torch.manual_seed(5)
-    vision = DeepViT(20, 200, (20, 10), dim=8, depth=1, num_heads=2, head_dim=4)
-    chain = GNNFPDNN(
-        coarse=GNNMethod(GNN(hidden=8, message_width=4, layers=2).eval(), variance_m2=1.0),
-        network=FPDNN(vision, DistanceHead(64)).eval(),
-        plan=PlanRaster(torch.rand(200, 400), torch.tensor([[10.0, 0.0, 20.0], [0.0, -10.0, 180.0]])),
-        crops=vision.crops,
-        solver=solve_nonlinear,
-        sigma_m=0.5,
-        filter_settings=KalmanSettings(),
-    )
     site, offsets = localizer.site, localizer.offsets
-    offline = localize(chain, site, recordings, offsets, KalmanSettings())
-    session = SiteSession(Localizer(chain, site, offsets, KalmanSettings()), settings)
+    offline = localize(untrained_chain, site, recordings, offsets, KalmanSettings())
+    session = SiteSession(Localizer(untrained_chain, site, offsets, KalmanSettings()), settings)
     fixes = streamed(session, site, recordings, seed=3)
     for online, track in zip(fixes.values(), offline, strict=True):
         assert largest_difference_m(online, track) < 1e-4
