@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
 
+from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.paper_numbers import KALMAN_SUFFIX, MOVED_SITES, PaperNumber, paper_numbers
 from fploc.evaluation.relative_figures import BEFORE_TUNING, OURS, TWO_ACCESS_POINTS
 from fploc.evaluation.selection import FILTERED, UNFILTERED, RecordBook, Slot
-from fploc.evaluation.tables import UNKNOWN, markdown
+from fploc.evaluation.tables import UNKNOWN
 
 COST = "cost"
 NOT_RUN = "not run"
@@ -82,7 +83,7 @@ def comparison_sections(book: RecordBook) -> str:
     parts = []
     for experiment, counterpart in COUNTERPARTS.items():
         rows = [row for row in _numbers() if row.experiment == experiment]
-        table = markdown([_row(book, row, counterpart) for row in rows])
+        table = markdown_grid([_row(book, row, counterpart) for row in rows])
         parts.append(f"\n### {experiment}\n\n{counterpart.differs}\n\n{table}")
     return "".join(parts)
 

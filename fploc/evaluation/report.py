@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.paper_numbers import paper_numbers, published
 from fploc.evaluation.records import Record, TrackedRecord
-from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
+from fploc.evaluation.tables import UNKNOWN, mean_text
 
 METRICS = ("rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
 REAL_PLAN = "real"
@@ -86,9 +87,9 @@ def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
     shown = [one for one in records if not is_studied(one.record.condition)]
     for labels in ("repaired", "published"):
         rows = comparison_rows(shown, labels=labels)
-        parts.append(f"\n## {labels.capitalize()} labels\n\n{markdown(rows)}")
+        parts.append(f"\n## {labels.capitalize()} labels\n\n{markdown_grid(rows)}")
     if not made_up:
-        parts.append(f"\n## The paper's own numbers\n\n{markdown(_paper_rows())}")
+        parts.append(f"\n## The paper's own numbers\n\n{markdown_grid(_paper_rows())}")
     return "".join(parts)
 
 

@@ -20,6 +20,7 @@ from dataclasses import replace
 from statistics import mean, stdev
 from typing import Any
 
+from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.chain_stages import STAGES
 from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.generator_match import printed_rows
@@ -36,7 +37,7 @@ from fploc.evaluation.relative_figures import (
 from fploc.evaluation.report import REAL_PLAN, SHARED_FLOOR, variant_of
 from fploc.evaluation.selection import UNFILTERED, RecordBook, Slot
 from fploc.evaluation.study_tables import study_sections
-from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
+from fploc.evaluation.tables import UNKNOWN, mean_text
 
 Facts = Mapping[str, Any]
 Rows = list[dict[str, str]]
@@ -131,7 +132,7 @@ def _headline(book: RecordBook) -> str:
                 "goal met": NOT_RUN if own is None else ("yes" if own <= goal_m else "no"),
             }
         )
-    return f"RMSE of `{OURS}` with KF, zero-shot from the office, device 1, metres.\n\n{markdown(rows)}"
+    return f"RMSE of `{OURS}` with KF, zero-shot from the office, device 1, metres.\n\n{markdown_grid(rows)}"
 
 
 def _worse(book: RecordBook, facts: Facts) -> str:
@@ -158,7 +159,7 @@ def _relative(book: RecordBook) -> str:
             "The link between the devices, on the same intervals": link_rows(book, labels),
         }
         parts += [
-            f"### {title} ({labels} labels)\n\n{markdown(rows) or _not_run()}\n"
+            f"### {title} ({labels} labels)\n\n{markdown_grid(rows) or _not_run()}\n"
             for title, rows in tables.items()
         ]
     return "".join(parts)
@@ -181,11 +182,12 @@ def _certainty(facts: Facts) -> str:
     return (
         f"{SHOWN_PROTOCOL.capitalize()}, first seed, with filter, repaired labels; other protocols stand in "
         "`results-facts.json`. Blocks of 30 s are resampled: errors that follow one another are alike.\n\n"
-        f"### Against `{OURS}`\n\n{markdown(_differences(facts, 'differences')) or _not_run()}\n"
+        f"### Against `{OURS}`\n\n{markdown_grid(_differences(facts, 'differences')) or _not_run()}\n"
         "### Against the best at each place\n\nThe best is picked after the fact. The last columns are of the "
         "intervals in which both methods have a fix of their own.\n\n"
-        f"{markdown(_differences(facts, 'against_best')) or _not_run()}\n"
-        f"### Recordings\n\nRMSE of each recording by itself, then the mean.\n\n{markdown(recordings) or _not_run()}"
+        f"{markdown_grid(_differences(facts, 'against_best')) or _not_run()}\n"
+        "### Recordings\n\nRMSE of each recording by itself, then the mean.\n\n"
+        f"{markdown_grid(recordings) or _not_run()}"
     )
 
 
@@ -226,7 +228,7 @@ def _comparison(book: RecordBook) -> str:
             for thin in thins[1:]
         }  # fmt: skip
         for title, (like, cell) in views.items():
-            table = markdown(_pivot(book, like, cell))
+            table = markdown_grid(_pivot(book, like, cell))
             if table:
                 parts.append(f"### {protocol}: {title}\n\n{table}\n")
     return "".join(parts) or NOT_RUN
@@ -253,7 +255,7 @@ def _stages(facts: Facts) -> str:
     return (
         f"What each part of `{OURS}` does, repaired labels: how far ranges are off before and after FPDNN, on the "
         "same links, and the RMSE of positions after the GNN, its filter, the solver and the last filter.\n\n"
-        f"{markdown(rows) or _not_run()}"
+        f"{markdown_grid(rows) or _not_run()}"
     )
 
 
@@ -277,7 +279,7 @@ def _plans(book: RecordBook) -> str:
         f"RMSE of zero-shot `{OURS}` with KF, repaired labels; in brackets the change against the real plan, of the "
         "same trained networks. `blank`: a crop with nothing drawn; `length`: the crop's length alone; `none`: "
         "neither; a site's name: that site's plan instead.\n\n"
-        f"{markdown(rows) or _not_run()}"
+        f"{markdown_grid(rows) or _not_run()}"
     )
 
 
@@ -312,14 +314,14 @@ def _ablations(book: RecordBook, facts: Facts) -> str:
         "difference to it over the seeds that both have: above 0 the change makes it worse.\n\n"
     )
     not_run = f"\nNot run: {', '.join(missing)}.\n" if missing and found else ""
-    return f"{text}{markdown(rows) if found else _not_run()}{not_run}"
+    return f"{text}{markdown_grid(rows) if found else _not_run()}{not_run}"
 
 
 def _generator(facts: Facts) -> str:
     parts = []
     for match in facts.get("generator_match", ()):
         rows = printed_rows(match)
-        table = markdown(rows) or "No recording with positions to compare with.\n"
+        table = markdown_grid(rows) or "No recording with positions to compare with.\n"
         parts.append(f"### {match['site']}: {match['kind']}\n\n{table}\n")
     rates = [
         {"networks": name, "virtual links a second": f"{rate:,.0f}"}
@@ -329,7 +331,7 @@ def _generator(facts: Facts) -> str:
         "How measured readings are distributed, beside samples of the generator for the same links and beside a "
         "generator that gives means only, as the paper's does.\n\n"
         + ("".join(parts) or f"{_not_run()}\n")
-        + f"### Speed\n\n{markdown(rates) or _not_run()}"
+        + f"### Speed\n\n{markdown_grid(rates) or _not_run()}"
     )
 
 
@@ -357,7 +359,7 @@ def _published_widths(records: Sequence[TrackedRecord]) -> str:
     )
     return (
         f"Networks of the published widths, trained once on the office, one seed{thinned}; RMSE, repaired labels "
-        f"unless said. What the training cost stands in the last table.\n\n{markdown(rows) or _not_run()}"
+        f"unless said. What the training cost stands in the last table.\n\n{markdown_grid(rows) or _not_run()}"
     )
 
 
@@ -380,9 +382,9 @@ def _complexity(book: RecordBook, facts: Facts) -> str:
         "letter, and no layout was found that gives its parameters; its FLOPs of the GNN fit those widths with one "
         "layer and an update of all nine nodes, where only the device is updated here; one sample of its FPDNN "
         "may be one link, ours is eight.\n\n"
-        f"{markdown(rows) or _not_run()}\n### Beside the paper\n\n"
+        f"{markdown_grid(rows) or _not_run()}\n### Beside the paper\n\n"
         "The paper's milliseconds are of an RTX 3090 (networks) and of an i9-12900KF (rivals).\n\n"
-        f"{markdown(cost_rows(book, facts.get('complexity', ())))}"
+        f"{markdown_grid(cost_rows(book, facts.get('complexity', ())))}"
     )
 
 
@@ -400,7 +402,7 @@ def _timings(facts: Facts) -> str:
     return (
         "Of one device, by `fploc bench`, all methods in one run on this machine, at least 1,000 fixes each; of "
         "several devices at once, each one's share. Methods without the filter behind them, which has rows of its "
-        f"own.\n\n{markdown(rows) or _not_run()}"
+        f"own.\n\n{markdown_grid(rows) or _not_run()}"
     )
 
 
@@ -414,7 +416,7 @@ def _training(facts: Facts) -> str:
         }
         for row in facts.get("training_cost", ())
     ]
-    return markdown(rows) or _not_run()
+    return markdown_grid(rows) or _not_run()
 
 
 def _pivot(book: RecordBook, like: Slot, cell: Cell) -> Rows:

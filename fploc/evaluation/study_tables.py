@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.conditions import (
     ACCESS_POINTS,
     AS_IS,
@@ -16,7 +17,6 @@ from fploc.evaluation.conditions import (
 )
 from fploc.evaluation.paper_comparison import NOT_RUN
 from fploc.evaluation.selection import RecordBook, Slot
-from fploc.evaluation.tables import markdown
 
 PLAIN = Slot("zero-shot", "", 0, "")
 MISSING = f"{NOT_RUN.capitalize()}.\n"
@@ -71,7 +71,7 @@ def _table(book: RecordBook, like: Slot, title: str, conditions: Sequence[str]) 
     slots = {named: list(book.slots(replace(like, condition=named))) for named in conditions}
     every = [slot for found in slots.values() for slot in found]
     places = sorted({(slot.site, slot.device) for slot in every})
-    return markdown(
+    return markdown_grid(
         [
             {
                 "method": method,

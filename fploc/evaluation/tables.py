@@ -1,20 +1,12 @@
-"""Markdown tables, and numbers as they stand in them."""
+"""Numbers as they stand in tables."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 UNKNOWN = "–"
-
-
-def markdown(rows: Sequence[Mapping[str, str]]) -> str:
-    """Return rows of equal keys as a Markdown table; nothing for no rows."""
-    if not rows:
-        return ""
-    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def mean_text(values: Sequence[float | None], *, decimals: int = 2) -> str:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import Record
-from fploc.evaluation.tables import UNKNOWN, markdown
+from fploc.evaluation.tables import UNKNOWN
 from fploc.shipped import POOLED, SHIPPING_COMMAND, SOURCE_ONLY
 
 _CARD = """# Model card: `{method}`, trained
@@ -58,7 +59,7 @@ def model_card(records: Sequence[Record]) -> str:
         command=SHIPPING_COMMAND,
         pooled=POOLED.protocol,
         source=SOURCE_ONLY.protocol,
-        table=markdown(rows),
+        table=markdown_grid(rows),
     )
 
 

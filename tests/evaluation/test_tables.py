@@ -1,11 +1,12 @@
 from __future__ import annotations
 
-from fploc.evaluation.tables import UNKNOWN, markdown, mean_text
+from fploc.datasets.pages import markdown_grid
+from fploc.evaluation.tables import UNKNOWN, mean_text
 
 
 def test_markdown_holds_one_line_for_each_row() -> None:
-    assert markdown([{"a": "1", "b": "2"}]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
-    assert markdown([]) == ""
+    assert markdown_grid([{"a": "1", "b": "2"}]) == "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
+    assert markdown_grid([]) == ""
 
 
 def test_several_numbers_are_mean_and_sample_deviation_one_stands_alone_none_is_a_dash() -> None:

@@ -10,12 +10,13 @@ import nbformat
 import pytest
 
 from fploc.datasets.packed import read_packed
+from fploc.datasets.pages import markdown_grid
 from fploc.errors import MissingFileError
 from fploc.evaluation.error_series import error_series, write_error_series
 from fploc.evaluation.evaluate import EvaluationRequest, records_of, source_offsets, tracks_of
 from fploc.evaluation.records import TrackedRecord, write_records
 from fploc.evaluation.report import comparison_rows
-from fploc.evaluation.tables import UNKNOWN, markdown
+from fploc.evaluation.tables import UNKNOWN
 from fploc.experiments.plan import Scoring
 from fploc.experiments.scoring import data_hash
 from fploc.methods.registry import GEOMETRIC_METHODS, geometric_method
@@ -100,7 +101,7 @@ def test_results_notebook_shows_table_bars_and_cdfs(
 ) -> None:
     texts = "\n".join(outputs(notebook, "text/markdown"))
     for labels in LABELS:
-        assert markdown(comparison_rows(tracked, labels=labels)).strip() in texts
+        assert markdown_grid(comparison_rows(tracked, labels=labels)).strip() in texts
     assert "Made-up buildings: no real data." in texts
     assert "`run-nls`" in texts
     bars, cdfs = 2, 2
