@@ -24,7 +24,7 @@ from torch import Tensor
 
 from fploc.conf import instantiate, read_conf
 from fploc.intervals import Estimate, Intervals, NoFix, estimate
-from fploc.methods.belief_grid import BeliefGrid, blurred, tempered
+from fploc.methods.belief_grid import BeliefGrid, moved, tempered
 from fploc.sites.site import Site
 
 NAME = "bayes-grid"
@@ -129,9 +129,9 @@ class BayesGrid:
         hears = intervals.heard.any(-1) & intervals.present
         t_s = torch.where(state.started, torch.maximum(intervals.t_s.double(), state.t_s), intervals.t_s)
         dt_s = torch.where(state.started & intervals.present, t_s - state.t_s, 0.0)
-        moved = blurred(state.beliefs, self.settings.speed_prior_mps * dt_s / self.settings.cell_m)
+        walked = self._walked(state.beliefs, self.settings.speed_prior_mps * dt_s)
         powers = self._powers(state, t_s.double())
-        weighted = moved * self._likelihoods(state, intervals, powers).reshape(moved.shape)
+        weighted = walked * self._likelihoods(state, intervals, powers).reshape(walked.shape)
         beliefs = weighted / weighted.sum((1, 2), keepdim=True)
         present = intervals.present[:, None, None]
         new = replace(
@@ -143,6 +143,11 @@ class BayesGrid:
         )
         reasons = torch.where(hears, int(NoFix.FIXED), int(NoFix.NO_READING))
         return new, estimate(*new.grid.moments(new.beliefs), reasons)
+
+    def _walked(self, beliefs: Tensor, spreads_m: Tensor) -> Tensor:
+        """Return beliefs (B, X, Y) blurred by standard deviations (B,), metres."""
+        variances = (spreads_m / self.settings.cell_m).square()[:, None]
+        return moved(beliefs[:, None], torch.zeros(len(beliefs), 1, 2, dtype=beliefs.dtype), variances)[:, 0]
 
     def _powers(self, state: BeliefState, t_s: Tensor) -> Tensor:
         """Return how much of the likelihood of an interval counts, shape (B,)."""

@@ -1,6 +1,6 @@
-"""Cells that beliefs are held on, what the plan says of each, and what becomes of beliefs: blur, product, moments.
+"""Cells that beliefs are held on, what the plan says of each, and what becomes of beliefs: moves, product, moments.
 
-Axes: B devices, A access points, X and Y cells, C = X · Y.
+Axes: B devices, G beliefs of a device, A access points, X and Y cells, C = X · Y, K taps of a kernel.
 """
 
 from __future__ import annotations
@@ -18,6 +18,10 @@ from fploc.sites.site import Site
 SHORTEST_S = 1e-6
 KERNEL_REACH = 4.0
 """Cells beyond so many standard deviations get nothing of a blur."""
+NEGLIGIBLE = 1e-6
+"""Beside the likeliest cell, this is nothing: what distant cells keep takes room in a store and decides nothing."""
+LEAST_WEIGHT = 1e-20
+"""No interval makes a cell less likely than this, beside the likeliest."""
 
 
 @dataclass(frozen=True)
@@ -103,10 +107,17 @@ def _centres(coordinates: Tensor, cell_m: float, margin_m: float) -> Tensor:
 
 
 def posterior(before: Tensor, log_likelihoods: Tensor) -> Tensor:
-    """Return beliefs (B, X, Y) times likelihoods, their logarithms (B, C), scaled to sum 1."""
-    tiniest = torch.finfo(before.dtype).tiny
-    logs = before.flatten(1).clamp(min=tiniest).log() + log_likelihoods
-    return torch.softmax(logs, dim=-1).reshape(before.shape)
+    """Return beliefs times likelihoods, scaled to sum 1; negligible cells become 0.
+
+    Args:
+        before: Shape (B, G, X, Y).
+        log_likelihoods: Of each cell, whatever the belief, shape (B, C).
+    """
+    highest = log_likelihoods.amax(1, keepdim=True)
+    weights = torch.exp(log_likelihoods - highest).clamp(min=LEAST_WEIGHT).to(before.dtype)
+    after = before * weights.view(len(before), 1, *before.shape[2:])
+    after = torch.where(after < NEGLIGIBLE * after.amax((1, 2, 3), keepdim=True), 0.0, after)
+    return after / after.sum((1, 2, 3), keepdim=True)
 
 
 def tempered(since_s: Tensor, correlation_s: float) -> Tensor:
@@ -114,27 +125,47 @@ def tempered(since_s: Tensor, correlation_s: float) -> Tensor:
     return (since_s / max(correlation_s, SHORTEST_S)).clamp(max=1.0)
 
 
-def blurred(beliefs: Tensor, spreads: Tensor) -> Tensor:
-    """Blur beliefs by a Gaussian on cells, along x and then along y; what leaves the grid is lost.
-
-    The kernel is the Gaussian of a grid, with the transfer function exp(σ² (cos θ − 1)): its variance is σ²
-    however small σ is, where a sampled Gaussian would stand still (Lindeberg, IEEE PAMI 1990, 12:234).
+def moved(beliefs: Tensor, shifts: Tensor, variances: Tensor) -> Tensor:
+    """Shift beliefs and blur them, along x and then along y; what leaves the grid is lost.
 
     Args:
-        beliefs: Shape (B, X, Y).
-        spreads: σ of each device, shape (B,), cells.
+        beliefs: Shape (B, G, X, Y).
+        shifts: Along x and y, shape (B, G, 2), cells.
+        variances: Of the blur along each axis, shape (B, G), square cells.
 
     Returns:
-        Shape (B, X, Y).
+        Shape (B, G, X, Y), of the type of ``beliefs``.
     """
-    devices, rows, columns = beliefs.shape
-    reach = math.ceil(KERNEL_REACH * float(spreads.max())) + 2
+    devices, each, rows, columns = beliefs.shape
+    reach = math.ceil(KERNEL_REACH * float(variances.max().sqrt()) + float(shifts.abs().max())) + 2
     reach = min(reach, max(rows, columns))
-    angles = 2 * torch.pi * torch.arange(reach + 1, dtype=beliefs.dtype, device=beliefs.device)
-    angles = angles / (2 * reach + 1)
-    transfer = torch.exp(spreads[:, None].square() * (angles.cos() - 1))
-    kernels = torch.fft.irfft(transfer, n=2 * reach + 1).clamp(min=0.0).roll(reach, dims=-1)
-    along_x, along_y = kernels[:, None, :, None], kernels[:, None, None, :]
-    moved = torch.nn.functional.conv2d(beliefs[None], along_x, padding=(reach, 0), groups=devices)
-    moved = torch.nn.functional.conv2d(moved, along_y, padding=(0, reach), groups=devices)
-    return moved[0]
+    taps = kernels(shifts, variances[..., None], reach).to(beliefs.dtype).flatten(0, 1)
+    # A convolution of torch is a correlation: kernels turned around.
+    along_x, along_y = taps[:, 0].flip(-1)[:, None, :, None], taps[:, 1].flip(-1)[:, None, None, :]
+    stacked = beliefs.reshape(1, devices * each, rows, columns)
+    stacked = torch.nn.functional.conv2d(stacked, along_x, padding=(reach, 0), groups=devices * each)
+    stacked = torch.nn.functional.conv2d(stacked, along_y, padding=(0, reach), groups=devices * each)
+    return stacked.view(beliefs.shape)
+
+
+def kernels(shifts: Tensor, variances: Tensor, reach: int) -> Tensor:
+    """Return kernels on cells with a mean and a variance that need not be whole, shape (…, K = 2 · reach + 1).
+
+    Each is a whole shift, a share f that goes one cell further, and the Gaussian of a grid, which has the transfer
+    function exp(σ² (cos θ − 1)) and the variance σ² however small σ is, where a sampled Gaussian would stand still
+    (Lindeberg, IEEE PAMI 1990, 12:234). A variance below f(1 − f), that of the shift itself, cannot be had.
+
+    Args:
+        shifts: Means, shape (…), cells.
+        variances: Shape (…) or one that broadcasts to it, square cells.
+        reach: Of the kernels to either side, cells.
+    """
+    taps = 2 * reach + 1
+    angles = 2 * torch.pi * torch.arange(reach + 1, dtype=shifts.dtype, device=shifts.device) / taps
+    shifts = shifts.clamp(-reach, reach)
+    share = (shifts - shifts.floor())[..., None]
+    rest = (variances[..., None] - share * (1 - share)).clamp(min=0.0)
+    further = 1 - share + share * torch.polar(torch.ones_like(angles), -angles)
+    turned = -angles * shifts.floor()[..., None]
+    transfer = further * torch.polar(torch.exp(rest * (angles.cos() - 1)), turned)
+    return torch.fft.irfft(transfer, n=taps).clamp(min=0.0).roll(reach, dims=-1)

@@ -3,7 +3,7 @@
 It needs neither training nor a plan, and so carries no fault of a source or of a drawing to the features. What it
 says of a link, given all other links, is the best that can be known of its error before anything is learned.
 
-Axes: B devices, A access points, C cells, Q errors of a table.
+Axes: B devices, G gaits, A access points, X and Y cells, C = X · Y, Q errors of a table.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from fploc.intervals import Intervals
-from fploc.methods.belief_grid import BeliefGrid, blurred, posterior, tempered
+from fploc.methods.belief_grid import BeliefGrid, posterior, tempered
 from fploc.methods.link_evidence import LinkEvidence, RangeExpectation
+from fploc.methods.walk import Walk, WalkSettings
 from fploc.sites.site import Site
 
 LOWEST_ERROR_M, ERROR_STEP_M, ERRORS = -12.0, 0.2, 260
@@ -34,8 +35,7 @@ class CoarseSettings:
     Args:
         cell_m: Side of a cell, metres.
         margin_m: Of the grid around the access points' bounding box, metres.
-        speed_prior_mps: v: a walker's speed.
-        straight_s: For so long a walker keeps direction: the belief spreads by v² · straight_s · dt per axis.
+        walk: How people move.
         short_m: Decay of the density of errors below 0, metres.
         long_m: Decay of the density of errors above 0, metres.
         floor: Density of ranges that neither explains, beside that of the mode.
@@ -44,8 +44,7 @@ class CoarseSettings:
 
     cell_m: float
     margin_m: float
-    speed_prior_mps: float
-    straight_s: float
+    walk: WalkSettings
     short_m: float
     long_m: float
     floor: float
@@ -58,7 +57,7 @@ class CoarseState:
 
     Args:
         grid: Cells of the site.
-        beliefs: Probability of each cell, shape (B, X, Y).
+        beliefs: Probability of each cell and gait, shape (B, G, X, Y), float32.
         links: Past of every link.
         t_s: Time of each belief, shape (B,), seconds.
         heard_t_s: Time of the last interval of each that heard something, shape (B,), seconds.
@@ -73,11 +72,12 @@ class CoarseState:
     started: Tensor
 
     @classmethod
-    def before(cls, grid: BeliefGrid, devices: int) -> CoarseState:
+    def before(cls, grid: BeliefGrid, walk: Walk, devices: int) -> CoarseState:
         """Return the state before the first interval."""
         times = torch.zeros(devices, dtype=torch.float64)
         links = LinkEvidence.before(devices, len(grid.distances_m))
-        return cls(grid, grid.uniform(devices), links, times, times, torch.zeros(devices, dtype=torch.bool))
+        nowhere = torch.zeros(devices, dtype=torch.bool)
+        return cls(grid, walk.begun(grid.uniform(devices)), links, times, times, nowhere)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Heard:
         error_bins: Row of the tables of errors that each cell would mean, shape (B, A, C), int32; ``SILENT`` where
             the device is absent or did not hear the access point.
         heard: True where a device that is present heard an access point, shape (B, A).
-        spreads: Of the walk since the interval before, standard deviation per axis, shape (B,), cells.
+        dt_s: Time since the interval before, shape (B,), seconds; 0 for devices that are absent or new.
         since_s: Time since something was heard, shape (B,), seconds; infinite before the first time.
         coarse_log: Untempered logarithm of the coarse likelihood of the interval, shape (B, C).
     """
@@ -97,7 +97,7 @@ class Heard:
     features: Tensor
     error_bins: Tensor
     heard: Tensor
-    spreads: Tensor
+    dt_s: Tensor
     since_s: Tensor
     coarse_log: Tensor
 
@@ -116,6 +116,7 @@ class CoarseBelief:
 
     def __init__(self, settings: CoarseSettings) -> None:
         self.settings = settings
+        self.walk = Walk(settings.walk)
         errors_m = table_errors_m()
         decays = torch.maximum(errors_m / settings.long_m, -errors_m / settings.short_m)
         explained = torch.exp(-decays) + settings.floor
@@ -131,28 +132,28 @@ class CoarseBelief:
         hears = heard.any(-1)
         now = intervals.t_s.double()
         t_s = torch.where(state.started, torch.maximum(now, state.t_s), now)
-        dt_s = torch.where(state.started & intervals.present, t_s - state.t_s, 0.0)
+        away_s = torch.where(state.started & intervals.present, t_s - state.t_s, 0.0)
+        dt_s = away_s.clamp(max=LONGEST_GAP_S)
         since_s = torch.where(state.started, t_s - state.heard_t_s, torch.inf)
-        walked = self.settings.straight_s * dt_s.clamp(max=LONGEST_GAP_S)
-        spreads = self.settings.speed_prior_mps * walked.sqrt() / self.settings.cell_m
 
         bins = _error_bins(state.grid, intervals, heard)
         likelihoods = self._likelihoods.index_select(0, bins.flatten()).view(bins.shape)
         coarse_log = likelihoods.log().sum(1)
-        moved = blurred(state.beliefs, spreads)
-        expected = self._expected(state.grid, posterior(moved, coarse_log), likelihoods)
-        links, features = state.links.after(intervals, dt_s, expected)
+        moved = self.walk.moved(state.beliefs, dt_s, self.settings.cell_m)
+        anyhow = posterior(moved.sum(1, keepdim=True), coarse_log)[:, 0]
+        expected = self._expected(state.grid, anyhow.double(), likelihoods)
+        links, features = state.links.after(intervals, away_s, expected)
         powers = tempered(since_s, self.settings.coarse_correlation_s)
         updated = posterior(moved, torch.where(hears, powers, 0.0)[:, None] * coarse_log)
         new = CoarseState(
             grid=state.grid,
-            beliefs=torch.where(intervals.present[:, None, None], updated, state.beliefs),
+            beliefs=torch.where(intervals.present[:, None, None, None], updated, state.beliefs),
             links=links,
             t_s=torch.where(intervals.present, t_s, state.t_s),
             heard_t_s=torch.where(hears, t_s, state.heard_t_s),
             started=state.started | hears,
         )
-        return new, Heard(features, bins, heard, spreads, since_s, coarse_log)
+        return new, Heard(features, bins, heard, dt_s, since_s, coarse_log)
 
     @staticmethod
     def _expected(grid: BeliefGrid, beliefs: Tensor, likelihoods: Tensor) -> RangeExpectation:

@@ -6,10 +6,11 @@ but distributions. At every interval
 1. a coarse belief (``fploc.methods.coarse_belief``) says what it expects of every range by all the others;
 2. two small networks (``fploc.models.range_error``) make of this, and of the link's recent past, distributions of
    the range's error: bias, a spread on either side, probability of an outlier. One sees all of it, one no signals;
-3. the belief is moved by a random walk, and multiplied by these and by the coarse likelihood, pooled as
-   Π p_learned^share · p_coarse^(1 − share): what was learned elsewhere corrects, it does not rule.
+3. the belief is moved as people move (``fploc.methods.walk``), and multiplied by these and by the coarse likelihood,
+   pooled as Π p_learned^share · p_coarse^(1 − share): what was learned elsewhere corrects, it does not rule.
 
-Likelihoods are tempered, since errors of a place repeat as long as one is there. The plan weighs cells: nobody
+Likelihoods are tempered, since errors of a place repeat as long as one is there: the faster somebody walks, the
+more an interval says that is new. The plan weighs cells: nobody
 stands in a wall. The networks learn from recordings of source sites in which access points fall silent and offsets
 drift by the minute, so that they do not learn the source's geometry by heart.
 
@@ -28,7 +29,7 @@ from fploc.conf import instantiate, read_conf
 from fploc.errors import FplocError
 from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals, NoFix, estimate
-from fploc.methods.belief_grid import blurred, posterior, tempered
+from fploc.methods.belief_grid import posterior
 from fploc.methods.coarse_belief import (
     SILENT,
     CoarseBelief,
@@ -55,7 +56,8 @@ class LearnedGridSettings:
         lessons: Of the network and its training.
         blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
         learned_share: Power of the learned likelihood beside the coarse one, 0 to 1.
-        correlation_s: For so long errors of ranges are taken for one error.
+        correlation_s: For so long errors of ranges are taken for one error on the spot.
+        correlation_m: Over so many metres of a walk they are, too.
         survey_m: Standard deviation per axis of what no belief can know, metres: the frame of access points
             and plan.
         calibration: That it runs with unless asked.
@@ -66,6 +68,7 @@ class LearnedGridSettings:
     blocked: float
     learned_share: float
     correlation_s: float
+    correlation_m: float
     survey_m: float
     calibration: str
 
@@ -115,7 +118,7 @@ class LearnedGrid:
 
 @dataclass(frozen=True)
 class LearnedGridState:
-    """Beliefs of a batch of devices: the coarse one, and the one that estimates are made from, (B, X, Y)."""
+    """Beliefs of a batch of devices: the coarse one, and the one that estimates are made from, (B, G, X, Y)."""
 
     coarse: CoarseState
     beliefs: Tensor
@@ -149,7 +152,8 @@ class LearnedGridFilter:
 
     def for_speed(self, speed_prior_mps: float) -> LearnedGridFilter:
         """Return the method for people who walk at about ``speed_prior_mps``."""
-        coarse = replace(self.settings.coarse, speed_prior_mps=speed_prior_mps)
+        walk = replace(self.settings.coarse.walk, speed_prior_mps=speed_prior_mps)
+        coarse = replace(self.settings.coarse, walk=walk)
         return LearnedGridFilter(replace(self.settings, coarse=coarse), self.networks, self._plan)
 
     def for_plan(self, plan: FloorPlan) -> LearnedGridFilter:
@@ -161,7 +165,8 @@ class LearnedGridFilter:
         grid = self._coarse.grid(site)
         if self._plan is not None:
             grid = grid.weighted_by(self._plan, site, blocked=self.settings.blocked)
-        return LearnedGridState(CoarseState.before(grid, devices), grid.uniform(devices))
+        walk = self._coarse.walk
+        return LearnedGridState(CoarseState.before(grid, walk, devices), walk.begun(grid.uniform(devices)))
 
     @torch.no_grad()
     def step(self, state: LearnedGridState, intervals: Intervals) -> tuple[LearnedGridState, Estimate]:
@@ -169,14 +174,20 @@ class LearnedGridFilter:
         grid = state.coarse.grid
         coarse, heard = self._coarse.step(state.coarse, intervals)
         hears = heard.heard.any(-1)
-        powers = torch.where(hears, tempered(heard.since_s, self.settings.correlation_s), 0.0)
-        moved = blurred(state.beliefs, heard.spreads)
+        moved = self._coarse.walk.moved(state.beliefs, heard.dt_s, grid.cell_m)
+        powers = torch.where(hears, self._powers(moved, heard.since_s), 0.0)
         updated = posterior(moved, powers[:, None] * (grid.plan_log + self._log_likelihoods(heard)))
-        beliefs = torch.where(intervals.present[:, None, None], updated, state.beliefs)
-        positions, covariances = grid.moments(beliefs)
+        beliefs = torch.where(intervals.present[:, None, None, None], updated, state.beliefs)
+        positions, covariances = grid.moments(beliefs.sum(1).double())
         unknowable = torch.eye(2, dtype=torch.float64) * self.settings.survey_m**2
         reasons = torch.where(hears, int(NoFix.FIXED), int(NoFix.NO_READING))
         return LearnedGridState(coarse, beliefs), estimate(positions, covariances + unknowable, reasons)
+
+    def _powers(self, beliefs: Tensor, since_s: Tensor) -> Tensor:
+        """Return how much of the likelihood of an interval is new, shape (B,), so long after the last one."""
+        per_second = 1 / self.settings.correlation_s
+        per_second = per_second + self._coarse.walk.mean_speeds_mps(beliefs) / self.settings.correlation_m
+        return (since_s * per_second).clamp(max=1.0)
 
     def _log_likelihoods(self, heard: Heard) -> Tensor:
         """Return the pooled log-likelihood of the interval, shape (B, C)."""

@@ -34,6 +34,7 @@ class LessonSettings:
         rows: Recordings and copies of each site together, at least: as many copies are made as it takes.
         fewest_kept: So many access points a copy keeps at least, where there are as many.
         offset_m: Standard deviation of the offset of a copy, metres.
+        pace: Every other copy is so many times as fast as the recording: the sources' robots crawl.
         hidden: Width of the network.
         dropout: Of its first layer.
         epochs: Passes over all readings.
@@ -47,6 +48,7 @@ class LessonSettings:
     rows: int
     fewest_kept: int
     offset_m: float
+    pace: float
     hidden: int
     dropout: float
     epochs: int
@@ -79,7 +81,7 @@ def range_lessons(examples: Examples, coarse: CoarseBelief, settings: LessonSett
     examples = _in_order_of_names(examples)
     intervals, labels = copied(examples, settings)
     steps, rows, access_points = intervals.ranges.shape
-    state = CoarseState.before(coarse.grid(examples.site), rows)
+    state = CoarseState.before(coarse.grid(examples.site), coarse.walk, rows)
     features = torch.zeros(steps, rows, access_points, len(FEATURES), dtype=torch.float64)
     thinned = replace(examples, intervals=intervals, labels=labels)
     for step in range(steps):
@@ -101,8 +103,8 @@ def range_lessons(examples: Examples, coarse: CoarseBelief, settings: LessonSett
 def copied(examples: Examples, settings: LessonSettings) -> tuple[Intervals, Tensor]:
     """Return every ``learn_every``-th interval of all recordings, and copies behind them, with their labels.
 
-    In copies, other access points are silent and another offset is added every minute; recordings themselves
-    stay as they are.
+    In copies, other access points are silent and another offset is added every minute of the recording, and
+    time goes faster in every other one; recordings themselves stay as they are.
     """
     generator = torch.Generator().manual_seed(settings.seed)
     every = examples.intervals
@@ -124,10 +126,11 @@ def copied(examples: Examples, settings: LessonSettings) -> tuple[Intervals, Ten
     offsets = settings.offset_m * torch.randn(shape, generator=generator, dtype=torch.float64)
     audible[:, :recordings], offsets[:, :recordings] = True, 0.0
     column = torch.arange(shape[1])
+    hurried = column // recordings % 2 == 1
     heard = heard & audible[minutes, column]
     ranges = (repeated(every.ranges).double() + offsets[minutes, column][..., None]).clamp(min=0.0)
     intervals = Intervals(
-        t_s=t_s,
+        t_s=torch.where(hurried, t_s / settings.pace, t_s),
         ranges=torch.where(heard, ranges, 0.0),
         stds=repeated(every.stds),
         rss=repeated(every.rss),

@@ -10,6 +10,7 @@ from fploc.calibration.offsets import RangeOffsets
 from fploc.methods.coarse_belief import CoarseSettings
 from fploc.methods.learned_grid import LearnedGridFilter, LearnedGridSettings
 from fploc.methods.range_lessons import LessonSettings
+from fploc.methods.walk import WalkSettings
 from fploc.models.range_error import RangeErrorNetwork
 
 NETWORK = f"{RangeErrorNetwork.__module__}.{RangeErrorNetwork.__qualname__}"
@@ -70,10 +71,11 @@ def stored(
 def restored(artifact: Artifact) -> LearnedGridFilter:
     """Return the method that ``stored`` kept, without a plan."""
     kept = artifact.constants["settings"]
+    coarse = kept["coarse"]
     settings = LearnedGridSettings(
         **{
             **kept,
-            "coarse": CoarseSettings(**kept["coarse"]),
+            "coarse": CoarseSettings(**{**coarse, "walk": WalkSettings(**coarse["walk"])}),
             "lessons": LessonSettings(**kept["lessons"]),
         }
     )

@@ -9,7 +9,6 @@ import torch
 
 from fploc.intervals import Intervals, NoFix
 from fploc.methods.bayes_grid import BayesGrid, BayesGridSettings
-from fploc.methods.belief_grid import blurred
 from fploc.sites.site import AccessPoint, Site
 
 CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0)]
@@ -73,21 +72,6 @@ def test_the_grid_covers_the_access_points_and_the_margin() -> None:
     for cells, size in ((state.grid.xs_m, 8.0), (state.grid.ys_m, 6.0)):
         assert float(cells[0]) == -2.0 + 0.25 and float(cells[-1]) == size + 2.0 - 0.25
     torch.testing.assert_close(state.beliefs.sum((1, 2)), torch.ones(3, dtype=torch.float64))
-
-
-@pytest.mark.parametrize("spread", [0.0, 0.1, 0.4, 1.0, 3.7])
-def test_a_blur_adds_its_variance_and_keeps_mass_and_mean(spread: float) -> None:
-    belief = torch.zeros(2, 41, 51, dtype=torch.float64)
-    belief[0, 20, 25] = belief[1, 18, 27] = 1.0
-    moved = blurred(belief, torch.tensor([spread, 0.0], dtype=torch.float64))
-    torch.testing.assert_close(moved[1], belief[1], atol=1e-12, rtol=0)
-    assert (moved >= 0).all()
-    for axis, centre in ((2, 20), (1, 25)):
-        along = moved[0].sum(axis - 1)
-        away = torch.arange(len(along), dtype=torch.float64) - centre
-        assert float(along.sum()) == pytest.approx(1.0, abs=2e-4)
-        assert float((along * away).sum()) == pytest.approx(0.0, abs=1e-9)
-        assert float((along * away.square()).sum()) == pytest.approx(spread**2, rel=1e-2, abs=1e-9)
 
 
 def test_a_gap_longer_than_the_building_leaves_a_belief() -> None:

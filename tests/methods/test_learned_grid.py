@@ -166,6 +166,24 @@ def test_silence_widens_the_region() -> None:
     assert late.covariances[0].trace() > soon.covariances[0].trace()
 
 
+def walker_errors(speed_mps: float) -> torch.Tensor:
+    """Return the errors for somebody who crosses the box and turns back, shape (T,), metres."""
+    crossed = torch.arange(0.0, 14.0, 0.4 * speed_mps, dtype=torch.float64)
+    xs = torch.where(crossed < 7.0, 0.5 + crossed, 14.5 - crossed)
+    path = torch.stack([xs, torch.full_like(xs, 2.0)], -1)
+    method = learned()
+    state, errors = method.init(SITE, 1), []
+    for step, place in enumerate(path):
+        state, found = method.step(state, interval(place[None], t_s=0.4 * step))
+        errors.append((found.positions[0] - place).norm())
+    return torch.stack(errors)
+
+
+@pytest.mark.parametrize("speed_mps", [0.07, 0.7])
+def test_who_crawls_and_who_walks_is_followed(speed_mps: float) -> None:
+    assert walker_errors(speed_mps)[5:].square().mean().sqrt() < 0.35
+
+
 def test_nobody_is_put_into_a_wall() -> None:
     method = learned()
     at_the_wall = torch.tensor([[4.9, 1.5]], dtype=torch.float64)
@@ -178,7 +196,7 @@ def test_nobody_is_put_into_a_wall() -> None:
 
 
 def test_a_speed_is_taken() -> None:
-    assert learned().for_speed(1.4).settings.coarse.speed_prior_mps == 1.4
+    assert learned().for_speed(1.4).settings.coarse.walk.speed_prior_mps == 1.4
     assert learned().for_plan(walled_plan(5.0)).for_speed(1.4).settings == learned().for_speed(1.4).settings
 
 
