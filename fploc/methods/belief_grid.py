@@ -137,7 +137,7 @@ def moved(beliefs: Tensor, shifts: Tensor, variances: Tensor) -> Tensor:
         Shape (B, G, X, Y), of the type of ``beliefs``.
     """
     devices, each, rows, columns = beliefs.shape
-    reach = math.ceil(KERNEL_REACH * float(variances.max().sqrt()) + float(shifts.abs().max())) + 2
+    reach = math.ceil(KERNEL_REACH * float(variances.max().sqrt()) + float(shifts.abs().max())) + 1
     reach = min(reach, max(rows, columns))
     taps = kernels(shifts, variances[..., None], reach).to(beliefs.dtype).flatten(0, 1)
     # A convolution of torch is a correlation: kernels turned around.
