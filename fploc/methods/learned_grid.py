@@ -185,8 +185,8 @@ class LearnedGridFilter:
 
     def _powers(self, beliefs: Tensor, since_s: Tensor) -> Tensor:
         """Return how much of the likelihood of an interval is new, shape (B,), so long after the last one."""
-        per_second = 1 / self.settings.correlation_s
-        per_second = per_second + self._coarse.walk.mean_speeds_mps(beliefs) / self.settings.correlation_m
+        by_walking = self._coarse.walk.mean_speeds_mps(beliefs) / self.settings.correlation_m
+        per_second = 1 / self.settings.correlation_s + by_walking
         return (since_s * per_second).clamp(max=1.0)
 
     def _log_likelihoods(self, heard: Heard) -> Tensor:

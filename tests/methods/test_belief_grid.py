@@ -68,5 +68,5 @@ def test_negligible_cells_are_dropped_and_something_always_stays() -> None:
     assert (kept[0, 0, 0] > 0).tolist() == [True, False, True]
     # All the belief is where the interval says that nobody can be.
     lone = posterior(torch.tensor([[[[1.0, 0.0]]]]), torch.tensor([[-1e4, 0.0]], dtype=torch.float64))
-    assert LEAST_WEIGHT > torch.finfo(torch.float32).tiny
+    assert torch.finfo(torch.float32).tiny < LEAST_WEIGHT
     torch.testing.assert_close(lone, torch.tensor([[[[1.0, 0.0]]]]))
