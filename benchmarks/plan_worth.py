@@ -77,11 +77,14 @@ def parts_taken(method: LearnedGridFilter, plan: FloorPlan) -> dict[str, Learned
     """Return the method without each of its parts."""
     settings = method.settings
     everything, no_signals = method.networks
+    walk = replace(settings.coarse.walk, walking_share=0.0)
+    dawdling = replace(settings, coarse=replace(settings.coarse, walk=walk))
     changed: Mapping[str, LearnedGridFilter] = {
         "coarse likelihood alone": LearnedGridFilter(replace(settings, learned_share=0.0), method.networks),
         "learned likelihood alone": LearnedGridFilter(replace(settings, learned_share=1.0), method.networks),
         "view of everything alone": LearnedGridFilter(settings, [everything]),
         "view without signals alone": LearnedGridFilter(settings, [no_signals]),
+        "nobody walks": LearnedGridFilter(dawdling, method.networks),
         "nothing tempered": LearnedGridFilter(replace(settings, correlation_s=1e-3), method.networks),
     }
     return {name: one.for_plan(plan) for name, one in changed.items()}
