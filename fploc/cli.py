@@ -248,6 +248,9 @@ def _evaluate_parser() -> ArgumentParser:
     )
     parser.add_argument("--speed-prior", type=float, default=0.5, help="Speed of people, metres per second.")
     parser.add_argument("--thin", type=int, default=1, help="Keep every so many-th interval.")
+    parser.add_argument(
+        "--smoother", action="store_true", help="Offline: smooth every position by what came after it."
+    )
     parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")
     parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
     _add_data_root(parser)
@@ -649,6 +652,7 @@ def _run_evaluate(options: Namespace) -> None:
         plan=options.plan,
         speed_prior=options.speed_prior,
         thin=options.thin,
+        smoother=options.smoother,
         preset=options.preset,
         seed=options.seed,
     )

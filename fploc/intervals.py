@@ -5,6 +5,7 @@ Axes: B devices (every recording of every device is one entry of the batch), A a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -65,6 +66,17 @@ class Intervals:
     heard: Tensor
     present: Tensor
     links: DeviceLinks | None = None
+
+    def at(self, index: slice | int) -> Intervals:
+        """Return those at an index or slice of the first axis, without links."""
+        return Intervals(
+            t_s=self.t_s[index],
+            ranges=self.ranges[index],
+            stds=self.stds[index],
+            rss=self.rss[index],
+            heard=self.heard[index],
+            present=self.present[index],
+        )
 
     def nearer_than(self, limit_m: float) -> Intervals:
         """Return the same without ranges beyond ``limit_m``, as if these had not been heard."""
@@ -157,4 +169,13 @@ def links_of(intervals: Intervals, access_points: Tensor) -> Links:
         access_points=access_points[access_point],
         ranges=intervals.ranges[device, access_point],
         rss=intervals.rss[device, access_point],
+    )
+
+
+def stacked(estimates: Sequence[Estimate]) -> Estimate:
+    """Return estimates of one interval each as one with a leading time axis."""
+    return Estimate(
+        positions=torch.stack([one.positions for one in estimates]),
+        covariances=torch.stack([one.covariances for one in estimates]),
+        reasons=torch.stack([one.reasons for one in estimates]),
     )

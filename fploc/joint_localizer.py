@@ -36,7 +36,7 @@ from fploc.datasets.paired import LinkReadings, latest_before
 from fploc.datasets.recordings import Bools, Floats, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings
 from fploc.filters.range_update import RangedFilter, Ranges
-from fploc.intervals import FARTHEST_RANGE_M, DeviceLinks, Estimate, Intervals, NoFix
+from fploc.intervals import FARTHEST_RANGE_M, DeviceLinks, Estimate, Intervals, NoFix, stacked
 from fploc.localizer import (
     ROWS_AT_ONCE,
     Path,
@@ -48,7 +48,6 @@ from fploc.localizer import (
     joined,
     path_of,
     rows_at,
-    stacked,
 )
 from fploc.methods.chained import Companion, chained
 from fploc.methods.gnn import GNNMethod

@@ -22,8 +22,9 @@ from fploc.calibration.offsets import RangeOffsets
 from fploc.calibration.ranges import plan_ranges
 from fploc.datasets.recordings import PaddedRecordings, Recording, pad
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
-from fploc.intervals import Estimate, Intervals, NoFix
-from fploc.methods.interface import Filtering, Method, Refining, Solving
+from fploc.filters.smoother import smoothed
+from fploc.intervals import Estimate, Intervals, NoFix, stacked
+from fploc.methods.interface import Filtering, Method, Refining, Smoothing, Solving
 from fploc.methods.one_shot import Memoryless
 from fploc.progress import track
 from fploc.sites.site import Site
@@ -183,16 +184,55 @@ def localize(
         found = _locate(localizer, intervals)
         located = time.perf_counter()
         filtered = None if localizer.filter is None else filtered_in_turn(localizer.filter, intervals, found)
-        smoothed = time.perf_counter()
+        done = time.perf_counter()
     tracks = []
     for index, recording in enumerate(recordings):
         length = len(recording)
         unfiltered = path_of(found, index, length, ms_per_fix=1000.0 * (located - started) / count)
         own = None
         if filtered is not None:
-            own = path_of(filtered, index, length, ms_per_fix=1000.0 * (smoothed - started) / count)
+            own = path_of(filtered, index, length, ms_per_fix=1000.0 * (done - started) / count)
         tracks.append(Track(recording, unfiltered, own, own_filter=isinstance(method, Filtering)))
     return tracks
+
+
+def localize_offline(
+    method: Method,
+    site: Site,
+    recordings: Sequence[Recording],
+    offsets: RangeOffsets,
+    filter_settings: KalmanSettings,
+    *,
+    device: torch.device | str = "cpu",
+) -> list[Track]:
+    """Run a method over recordings whose ends are known: every position is smoothed by what came after it.
+
+    ``filtered`` are the method's fixes through the Kalman smoother. ``unfiltered`` are those of a method that is
+    a smoother itself, and the fixes as they are of every other one, which says so by ``own_filter``.
+
+    Arguments are those of ``localize``.
+    """
+    padded = pad(recordings)
+    localizer = Localizer(method, site, offsets, filter_settings, device=device)
+    assert localizer.filter is not None
+    intervals = all_intervals(padded, site, offsets, localizer.device)
+    count = int(padded.present.sum())
+    own_filter = isinstance(method, Smoothing)
+    with torch.inference_mode():
+        started = time.perf_counter()
+        found = _locate(localizer, intervals)
+        shown = method.smoothed(site, intervals) if isinstance(method, Smoothing) else found
+        filtered = smoothed(localizer.filter, intervals, found)
+    ms_per_fix = 1000.0 * (time.perf_counter() - started) / count
+    return [
+        Track(
+            recording,
+            path_of(shown, index, len(recording), ms_per_fix=ms_per_fix),
+            path_of(filtered, index, len(recording), ms_per_fix=ms_per_fix),
+            own_filter=own_filter,
+        )
+        for index, recording in enumerate(recordings)
+    ]
 
 
 def calibrated_ranges(slant_m: Tensor, heard: Tensor, site: Site, offsets: RangeOffsets) -> Tensor:
@@ -341,15 +381,6 @@ def filtered_in_turn(tracker: BatchedFilter, intervals: Intervals, found: Estima
         tracks, one = tracker.step(tracks, intervals.t_s[step], intervals.present[step], fixes)
         filtered.append(one)
     return stacked(filtered)
-
-
-def stacked(estimates: Sequence[Estimate]) -> Estimate:
-    """Return estimates of one interval each as one with a leading time axis."""
-    return Estimate(
-        positions=torch.stack([one.positions for one in estimates]),
-        covariances=torch.stack([one.covariances for one in estimates]),
-        reasons=torch.stack([one.reasons for one in estimates]),
-    )
 
 
 def path_of(found: Estimate, index: int, length: int, *, ms_per_fix: float) -> Path:

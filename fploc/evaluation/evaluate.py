@@ -35,7 +35,7 @@ from fploc.evaluation.records import Record, finite_or_none
 from fploc.evaluation.revision import running_commit
 from fploc.filters.kalman import HEADLINE_SPEED_MPS, KalmanSettings
 from fploc.localizer import Path as DevicePath
-from fploc.localizer import Track, localize
+from fploc.localizer import Track, localize, localize_offline
 from fploc.methods.interface import Filtering, Method
 
 PUBLISHED, REPAIRED, BOTH = "published", "repaired", "both"
@@ -56,6 +56,7 @@ class EvaluationRequest:
         plan: Which plan the method was made with: it is recorded here and acts in the method.
         speed_prior: Of the filter, and of a method that is one itself, metres per second.
         thin: Keep every ``thin``-th interval with the original time step.
+        smoother: Offline: every position is smoothed by what came after it.
         preset: That the method was trained with.
         seed: Of the method's training.
         source: Site that the protocol learns from.
@@ -72,6 +73,7 @@ class EvaluationRequest:
     preset: str = "default"
     seed: int = 0
     source: str = PUBLIC_SOURCE
+    smoother: bool = False
 
     def check(self) -> None:
         """Raise where an option cannot be used.
@@ -172,7 +174,8 @@ def tracks_of(
     removed = source_offsets(request, data_root) if offsets is None else offsets
     thinned = [one.thinned(request.thin) for one in recordings]
     settings = KalmanSettings.for_speed(request.speed_prior)
-    return localize(paced(method, request.speed_prior), target.site, thinned, removed, settings)
+    run = localize_offline if request.smoother else localize
+    return run(paced(method, request.speed_prior), target.site, thinned, removed, settings)
 
 
 def paced(method: Method, speed_mps: float) -> Method:
@@ -198,7 +201,7 @@ def records_of(
     for device in sorted({track.recording.device for track in tracks}):
         of_device = [track for track in tracks if track.recording.device == device]
         for labels in _labels_there(request, [track.recording for track in of_device]):
-            for name, paths in _paths_by_filter(of_device).items():
+            for name, paths in _paths_by_filter(of_device, request).items():
                 scores = score(paths, [track.recording.labels_m(labels) for track in of_device])
                 records.append(
                     _record(method_name, request, device, labels, name, scores, paths[0].ms_per_fix, artifact)
@@ -233,10 +236,12 @@ def _labels_there(request: EvaluationRequest, recordings: Sequence[Recording]) -
     return there
 
 
-def _paths_by_filter(tracks: Sequence[Track]) -> dict[str, list[DevicePath]]:
-    """Return the paths of every track by the name of the filter."""
+def _paths_by_filter(tracks: Sequence[Track], request: EvaluationRequest) -> dict[str, list[DevicePath]]:
+    """Return the paths of every track by filter; offline, those that no smoother made are left out."""
     name = OWN if tracks[0].own_filter else UNFILTERED
     paths = {name: [track.unfiltered for track in tracks]}
+    if request.smoother and not tracks[0].own_filter:
+        paths.clear()
     filtered = [track.filtered for track in tracks if track.filtered is not None]
     if filtered:
         paths[KALMAN] = filtered
@@ -262,7 +267,7 @@ def _record(
         calibration=request.calibration,
         plan=request.plan,
         speed_prior=request.speed_prior,
-        smoother=False,
+        smoother=request.smoother,
         thin=request.thin,
         filter=filter_name,
         preset=request.preset,

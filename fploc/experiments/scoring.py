@@ -347,6 +347,13 @@ def scored(
     request = replace(request, calibration=ready.offsets.estimator)
     protocol = protocol_of(request.protocol, request.source)
     if protocol.targets is Targets.LINKED:
+        if request.smoother:
+            raise FplocError(
+                f"--smoother with --protocol {protocol.name}",
+                value="two devices at once",
+                expected="a protocol that localizes each device alone",
+                way_out="leave --smoother out, or write `--protocol zero-shot`",
+            )
         return Scored(multi_device_records(name, ready, request, data_root), tracks=[])
     tracks = tracks_of(ready.method, request, data_root, offsets=ready.offsets)
     records = records_of(name, request, tracks, artifact=ready.artifact)

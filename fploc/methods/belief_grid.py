@@ -113,11 +113,16 @@ def posterior(before: Tensor, log_likelihoods: Tensor) -> Tensor:
         before: Shape (B, G, X, Y).
         log_likelihoods: Of each cell, whatever the belief, shape (B, C).
     """
-    highest = log_likelihoods.amax(1, keepdim=True)
-    weights = torch.exp(log_likelihoods - highest).clamp(min=LEAST_WEIGHT).to(before.dtype)
-    after = before * weights.view(len(before), 1, *before.shape[2:])
+    after = weighted(before, log_likelihoods)
     after = torch.where(after < NEGLIGIBLE * after.amax((1, 2, 3), keepdim=True), 0.0, after)
     return after / after.sum((1, 2, 3), keepdim=True)
+
+
+def weighted(before: Tensor, log_likelihoods: Tensor) -> Tensor:
+    """Return beliefs (B, G, X, Y) times likelihoods (B, C), the greatest of which counts as 1."""
+    highest = log_likelihoods.amax(1, keepdim=True)
+    weights = torch.exp(log_likelihoods - highest).clamp(min=LEAST_WEIGHT).to(before.dtype)
+    return before * weights.view(len(before), 1, *before.shape[2:])
 
 
 def tempered(since_s: Tensor, correlation_s: float) -> Tensor:

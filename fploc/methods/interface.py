@@ -89,6 +89,14 @@ class Filtering(Protocol):
 
 
 @runtime_checkable
+class Smoothing(Protocol):
+    """A method that can look back on whole recordings: offline, its positions know what came after them."""
+
+    def smoothed(self, site: Site, intervals: Intervals) -> Estimate:
+        """Return estimates, shapes (T, B, …), of intervals with a leading time axis, (T, B, …)."""
+
+
+@runtime_checkable
 class ReadsPlan(Protocol):
     """A method that uses the plan of its target where there is one."""
 

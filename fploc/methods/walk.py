@@ -77,16 +77,36 @@ class Walk:
             dt_s: Shape (B,), seconds.
             cell_m: Side of a cell, metres.
         """
+        kept, shifts, variances = self._ways(dt_s, cell_m)
+        ahead = moved(beliefs, shifts, variances)
+        kept = kept.to(beliefs.dtype)
+        return kept * ahead + (1 - kept) * self._shares_like(beliefs) * ahead.sum(1, keepdim=True)
+
+    def looked_back(self, messages: Tensor, dt_s: Tensor, cell_m: float) -> Tensor:
+        """Return how likely what came ``dt_s`` (B,) later is from each cell and gait: the adjoint of ``moved``.
+
+        Args:
+            messages: How likely what came is from where somebody is later, shape (B, G, X, Y).
+            dt_s: Shape (B,), seconds.
+            cell_m: Side of a cell, metres.
+        """
+        kept, shifts, variances = self._ways(dt_s, cell_m)
+        kept = kept.to(messages.dtype)
+        anew = (self._shares_like(messages) * messages).sum(1, keepdim=True)
+        return moved(kept * messages + (1 - kept) * anew, -shifts, variances)
+
+    def _ways(self, dt_s: Tensor, cell_m: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Return who keeps a gait, shape (B, 1, 1, 1), and shifts (B, G, 2) and variances (B, G) in cells."""
         keeps_s = self.settings.keeps_s
         kept = torch.exp(-dt_s / keeps_s)
         ahead_s = keeps_s * (1 - kept)
         meanders_s2 = (keeps_s * (dt_s - ahead_s) - ahead_s.square() / 2).clamp(min=0.0)
         shifts = self._velocities * ahead_s[:, None, None]
         variances = self._speeds.square() * meanders_s2[:, None] + self._strays * dt_s[:, None]
-        ahead = moved(beliefs, shifts / cell_m, variances / cell_m**2)
-        kept = kept.to(beliefs.dtype)[:, None, None, None]
-        shares = self._shares.to(beliefs.dtype)[:, None, None]
-        return kept * ahead + (1 - kept) * shares * ahead.sum(1, keepdim=True)
+        return kept[:, None, None, None], shifts / cell_m, variances / cell_m**2
+
+    def _shares_like(self, beliefs: Tensor) -> Tensor:
+        return self._shares.to(beliefs.dtype)[:, None, None]
 
     def mean_speeds_mps(self, beliefs: Tensor) -> Tensor:
         """Return the mean speed of each device, shape (B,), metres per second, by beliefs (B, G, X, Y)."""

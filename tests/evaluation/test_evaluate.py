@@ -70,6 +70,15 @@ def test_a_method_that_is_a_filter_is_recorded_so_and_takes_the_speed_prior(data
     assert all(one.rmse_m != other.rmse_m for one, other in zip(slow, fast, strict=True))
 
 
+@pytest.mark.parametrize("method", ["nls-onesided", "bayes-grid"])
+def test_offline_only_what_a_smoother_made_is_recorded(method: str, data_root: Path) -> None:
+    causal = chosen(run(replace(SHORT, thin=10), data_root, method), filter="kalman")
+    (offline,) = run(replace(SHORT, thin=10, smoother=True), data_root, method)
+    assert offline.filter == "kalman" and offline.smoother and not causal.smoother
+    assert offline.rmse_m is not None and causal.rmse_m is not None and offline.rmse_m < causal.rmse_m
+    assert offline.n == causal.n
+
+
 def test_there_is_a_record_for_each_device_label_and_filter(data_root: Path) -> None:
     records = run(replace(LABORATORY, labels="both", thin=5), data_root, "trilateration")
     found = [(record.device, record.labels, record.filter) for record in records]

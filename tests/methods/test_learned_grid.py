@@ -11,7 +11,7 @@ from fploc.errors import FplocError
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals, NoFix
-from fploc.methods.interface import Examples, Filtering, ReadsPlan, SourceFitted
+from fploc.methods.interface import Examples, Filtering, ReadsPlan, Smoothing, SourceFitted
 from fploc.methods.learned_grid import LearnedGrid, LearnedGridFilter, LearnedGridSettings
 from fploc.sites.site import AccessPoint, Site
 
@@ -92,6 +92,7 @@ def test_it_learns_from_sources_filters_itself_and_reads_plans() -> None:
     assert isinstance(LearnedGrid(), SourceFitted) and not LearnedGrid().learns_places
     assert isinstance(learned(), Filtering)
     assert isinstance(learned(), ReadsPlan)
+    assert isinstance(learned(), Smoothing)
 
 
 def test_what_was_learned_beats_the_coarse_belief_on_a_walk_not_seen() -> None:
@@ -111,6 +112,28 @@ def test_the_stated_regions_hold_most_truths() -> None:
             away = (found.positions - examples.labels[step])[..., None]
             held.append((away.mT @ torch.linalg.solve(found.covariances, away))[:, 0, 0] < 5.99)
     assert torch.stack(held).double().mean() > 0.9
+
+
+def test_who_knows_the_end_errs_less_and_at_the_end_the_same() -> None:
+    examples = walked(2)
+    causal, last = followed(learned(), examples)
+    smoothed = learned().smoothed(SITE, examples.intervals)
+    errors = (smoothed.positions - examples.labels).norm(dim=-1)
+    assert smoothed.fixed.all() and errors.shape == causal.shape
+    assert errors.square().mean() < 0.7 * causal.square().mean()
+    torch.testing.assert_close(smoothed.positions[-1], last.positions, atol=1e-2, rtol=0)
+
+
+def test_a_smoothed_start_knows_what_one_reading_could_not() -> None:
+    examples = walked(2)
+    one = torch.arange(len(CORNERS)) == 0
+    heard = examples.intervals.heard.clone()
+    heard[:5] &= one
+    intervals = replace(examples.intervals, heard=heard)
+    causal, _ = followed(learned(), replace(examples, intervals=intervals))
+    smoothed = learned().smoothed(SITE, intervals)
+    errors = (smoothed.positions - examples.labels).norm(dim=-1)
+    assert errors[0].mean() < 0.5 * causal[0].mean()
 
 
 def test_the_same_seed_learns_the_same_network() -> None:

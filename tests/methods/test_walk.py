@@ -105,3 +105,12 @@ def test_devices_do_not_mix() -> None:
     for device, (gait, dt_s) in enumerate([(1, 0.4), (5, 2.0)]):
         alone = after(in_the_middle(gait), dt_s)[0]
         torch.testing.assert_close(together[device], alone, atol=1e-6, rtol=0)
+
+
+def test_looking_back_is_the_adjoint_of_going_on() -> None:
+    generator = torch.Generator().manual_seed(0)
+    before, after_them = torch.rand(2, 2, 9, 13, 11, generator=generator, dtype=torch.float64)
+    dt_s = torch.tensor([0.4, 3.0], dtype=torch.float64)
+    onwards = (WALK.moved(before, dt_s, CELL_M) * after_them).sum((1, 2, 3))
+    back = (before * WALK.looked_back(after_them, dt_s, CELL_M)).sum((1, 2, 3))
+    torch.testing.assert_close(onwards, back, atol=0, rtol=1e-9)
