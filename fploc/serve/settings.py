@@ -14,6 +14,7 @@ class ServeSettings:
     Args:
         tick_ms: Time between ticks.
         late_share: Share of a tick after which one that has not begun is late: then phones must upload less often.
+        waiting_share: Share of ``most_waiting`` after which so much waits behind a tick that phones must upload less.
         compute_share: Share of a tick after which no further round of intervals is begun.
         most_at_once: Devices in one batch; the ones that wait longest go first.
         most_devices: Devices of a site that are followed at one time.
@@ -35,6 +36,7 @@ class ServeSettings:
 
     tick_ms: float
     late_share: float
+    waiting_share: float
     compute_share: float
     most_at_once: int
     most_devices: int
