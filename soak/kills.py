@@ -114,7 +114,7 @@ def expected(building: Building, method: str, intervals: list[Interval]) -> list
     request = ModelRequest(method, str(building.offset_m), SPEED_PRIOR_MPS, "default", 0, building.folder)
     served = served_site(building.folder, building.site.name, request)
     session = SiteSession(served.localizer, ServeSettings.read("default"))
-    session.restore(None, [], "phone")
+    session.restore(None, None, [], "phone")
     for one in intervals:
         session.ingest(Measurements(device="phone", intervals=[one]), 0.0)
     return [(fix.t_ms, fix.x_m) for outcome in session.tick() for fix in outcome.fixes]

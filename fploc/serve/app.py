@@ -99,9 +99,9 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         for task in ticking:
             task.cancel()
         await asyncio.gather(*ticking, return_exceptions=True)
-        await asyncio.to_thread(writer.close)
         for service in services.values():
             service.close()
+        await asyncio.to_thread(writer.close)
 
     app = FastAPI(
         title="fploc",

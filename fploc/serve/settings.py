@@ -19,6 +19,8 @@ class ServeSettings:
         most_at_once: Devices in one batch; the ones that wait longest go first.
         most_devices: Devices of a site that are followed at one time.
         most_waiting: Intervals of a site that may wait, and a backlog beyond; its devices share them alike.
+        store_states_every: Reading sets of a device after which its state is stored; those since are used again
+            after a restart.
         silent_ms: A device that sent nothing for so long is marked silent.
         forget_ms: A device that sent nothing for so long leaves the map; its track stays stored.
         longest_clock_jump_ms: A device's clock may jump so far forward, or farther where the server's own clock
@@ -41,6 +43,7 @@ class ServeSettings:
     most_at_once: int
     most_devices: int
     most_waiting: int
+    store_states_every: int
     silent_ms: float
     forget_ms: float
     longest_clock_jump_ms: float

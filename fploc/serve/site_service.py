@@ -208,7 +208,9 @@ class SiteService:
             if outcomes:
                 await self._wait_for_the_store()
                 self._storing.append(self._writer.write([], outcomes))
-            self.session.forget_silent(now_ms())
+            gone = self.session.forget_silent(now_ms())
+            if gone.states:
+                self._storing.append(self._writer.write([], [gone]))
         self.live.publish(self.text(due_ms))
         for fix in (fix for outcome in outcomes for fix in outcome.fixes):
             self._metrics.fixes.labels(self.name, fix.reason).inc()
@@ -276,5 +278,6 @@ class SiteService:
         )
 
     def close(self) -> None:
-        """End the thread that computes."""
+        """End the thread that computes, and hand in the states as they are."""
         self._computer.shutdown()
+        self._writer.write([], [self.session.unstored()])
