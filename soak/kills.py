@@ -39,7 +39,6 @@ AT_ONCE = 3
 RETRY_S = 0.1
 PAUSE_S = 0.02
 CLOSE_M = 1e-9
-SPEED_PRIOR_MPS = 0.5
 BETWEEN_KILLS = 30
 """Reading sets that are acknowledged, at the least, between two kills: each kill falls into the load."""
 LONGEST_RUN_S = 1.5
@@ -111,9 +110,11 @@ class Phones:
 
 def expected(building: Building, method: str, intervals: list[Interval]) -> list[tuple[float, float | None]]:
     """Return times and x of an uninterrupted session."""
-    request = ModelRequest(method, str(building.offset_m), SPEED_PRIOR_MPS, "default", 0, building.folder)
+    settings = ServeSettings.read("default")
+    offset, speed_mps = str(building.offset_m), settings.speed_prior_mps
+    request = ModelRequest(method, offset, speed_mps, "default", 0, building.folder)
     served = served_site(building.folder, building.site.name, request)
-    session = SiteSession(served.localizer, ServeSettings.read("default"))
+    session = SiteSession(served.localizer, settings)
     session.restore(None, None, [], "phone")
     for one in intervals:
         session.ingest(Measurements(device="phone", intervals=[one]), 0.0)

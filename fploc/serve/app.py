@@ -341,6 +341,7 @@ def _description(service: SiteService, settings: ServeSettings) -> SiteDescripti
         is_made_up=site.made_up,
         device_height_m=site.device_height_m,
         method=service.session.localizer.method.name,
+        speed_prior_mps=service.site.speed_prior_mps,
         tick_ms=settings.tick_ms,
         access_points=[
             AccessPointPlace(name=ap.name, bssid=ap.mac, x_m=ap.x_m, y_m=ap.y_m, height_m=ap.height_m)

@@ -42,11 +42,13 @@ class ServedSite:
         localizer: Method, offsets and filter.
         plan: Its place; ``url`` is where the server gives the picture out.
         plan_png: The picture.
+        speed_prior_mps: How fast the filter takes people to be.
     """
 
     localizer: Localizer
     plan: PlanPlace
     plan_png: bytes
+    speed_prior_mps: float
 
 
 def now_ms() -> float:

@@ -93,7 +93,7 @@ def served(localizer: Localizer) -> ServedSite:
         height_px=190,
         metres_from_pixels=georeference.metres_from_pixels.tolist(),
     )
-    return ServedSite(localizer, place, encoded.tobytes())
+    return ServedSite(localizer, place, encoded.tobytes(), 0.5)
 
 
 @pytest.fixture
