@@ -354,7 +354,9 @@ def _serve_parser() -> ArgumentParser:
     )
     parser.add_argument("--model", type=str, default="default", help="Name of the method.")
     parser.add_argument("--calibration", type=str | None, default=None, help="none, source-los, … or metres.")
-    parser.add_argument("--speed-prior", type=float, default=0.5, help="Of the filter, metres per second.")
+    parser.add_argument(
+        "--speed-prior", type=float | None, default=None, help="Of people, m/s. Default: of the settings."
+    )
     parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")
     parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
     parser.add_argument(
@@ -747,8 +749,9 @@ def _run_serve(options: Namespace) -> None:
     from fploc.serve.store import Store
 
     settings = ServeSettings.read(options.settings)
+    speed_mps = settings.speed_prior_mps if options.speed_prior is None else options.speed_prior
     request = ModelRequest(
-        options.model, options.calibration, options.speed_prior, options.preset, options.seed, options.runs
+        options.model, options.calibration, speed_mps, options.preset, options.seed, options.runs
     )
     places = [packed_place(name.strip(), options.data_root) for name in options.site.split(",")]
     sites = [served_site(root, name, request) for root, name in dict.fromkeys(places)]

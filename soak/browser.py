@@ -19,7 +19,7 @@ from pathlib import Path
 
 from load import Observed, counters, phone
 from playwright.async_api import Browser, async_playwright
-from served_building import Building, Connection, ServerProcess, printed, server, written
+from served_building import CHEAP_METHOD, Building, Connection, ServerProcess, printed, server, written
 
 SIZE = {"width": 1920, "height": 1080}
 FLAGS = ["--no-sandbox", "--disable-gpu"]
@@ -101,7 +101,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         building = Building.make(Path(folder))
-        with server(building) as process:
+        with server(building, CHEAP_METHOD) as process:
             found = asyncio.run(
                 measure(building, process, options.devices, options.seconds, options.screenshot)
             )

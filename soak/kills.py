@@ -17,15 +17,22 @@ import tempfile
 import time
 from pathlib import Path
 
-from served_building import METHOD, Building, Connection, endless, message, printed, start_server, written
+from served_building import (
+    CHEAP_METHOD,
+    Building,
+    Connection,
+    endless,
+    message,
+    printed,
+    start_server,
+    written,
+)
 
-from fploc.calibration.offsets import RangeOffsets
-from fploc.filters.kalman import KalmanSettings
-from fploc.localizer import Localizer
-from fploc.methods.registry import geometric_method
 from fploc.serve.messages import Interval, Measurements
+from fploc.serve.models import ModelRequest, served_site
 from fploc.serve.session import SiteSession
 from fploc.serve.settings import ServeSettings
+from fploc.shipped import DEFAULT
 
 PHONES = 8
 AT_ONCE = 3
@@ -101,25 +108,23 @@ class Phones:
         return found
 
 
-def expected(building: Building, index: int, intervals: list[Interval]) -> list[tuple[float, float | None]]:
+def expected(building: Building, method: str, intervals: list[Interval]) -> list[tuple[float, float | None]]:
     """Return times and x of an uninterrupted session."""
-    localizer = Localizer(
-        geometric_method(METHOD),
-        building.site,
-        RangeOffsets("soak", building.offset_m),
-        KalmanSettings(),
-    )
-    session = SiteSession(localizer, ServeSettings.read("default"))
-    session.restore(None, [], "phone")
+    settings = ServeSettings.read("default")
+    offset, speed_mps = str(building.offset_m), settings.speed_prior_mps
+    request = ModelRequest(method, offset, speed_mps, "default", 0, building.folder)
+    served = served_site(building.folder, building.site.name, request)
+    session = SiteSession(served.localizer, settings)
+    session.restore(None, None, [], "phone")
     for one in intervals:
         session.ingest(Measurements(device="phone", intervals=[one]), 0.0)
     return [(fix.t_ms, fix.x_m) for outcome in session.tick() for fix in outcome.fixes]
 
 
-async def run(building: Building, kills: int, seed: int) -> dict[str, object]:
+async def run(building: Building, method: str, kills: int, seed: int) -> dict[str, object]:
     """Return what was found after so many kills."""
     chance = random.Random(seed)
-    process = start_server(building)
+    process = start_server(building, method)
     try:
         phones = Phones(building, process.port)
         sending = [asyncio.create_task(phones.send(index)) for index in range(PHONES)]
@@ -127,24 +132,24 @@ async def run(building: Building, kills: int, seed: int) -> dict[str, object]:
             await phones.wait_for(BETWEEN_KILLS)
             await asyncio.sleep(chance.uniform(0.0, LONGEST_RUN_S))
             process.kill()
-            process = await asyncio.to_thread(start_server, building, process.port)
+            process = await asyncio.to_thread(start_server, building, method, process.port)
         await phones.wait_for(BETWEEN_KILLS)
         phones.ends = True
         await asyncio.gather(*sending)
-        return {"kills": kills, **await compared(building, phones)}
+        return {"method": method, "kills": kills, **await compared(building, method, phones)}
     finally:
         process.kill()
 
 
-async def compared(building: Building, phones: Phones) -> dict[str, object]:
+async def compared(building: Building, method: str, phones: Phones) -> dict[str, object]:
     """Return how much of what was acknowledged is missing, and how much is elsewhere than it should be."""
     lost = elsewhere = 0
     tracks = [await phones.whole_track(index) for index in range(PHONES)]
-    for index, (track, intervals) in enumerate(zip(tracks, phones.acknowledged, strict=True)):
+    for track, intervals in zip(tracks, phones.acknowledged, strict=True):
         found = {point["t_ms"]: point["x_m"] for point in track}
         lost += sum(one.t_ms not in found for one in intervals)
         elsewhere += sum(
-            not _is_close(found.get(t_ms), x_m) for t_ms, x_m in expected(building, index, intervals)
+            not _is_close(found.get(t_ms), x_m) for t_ms, x_m in expected(building, method, intervals)
         )
     return {"acknowledged": phones.count, "lost": lost, "elsewhere": elsewhere}
 
@@ -159,12 +164,15 @@ def _is_close(found: object, expected_m: float | None) -> bool:
 def main() -> None:
     """Print what was found; exit with 1 where anything was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument(
+        "--method", choices=(DEFAULT, CHEAP_METHOD), default=CHEAP_METHOD, help="That is served."
+    )
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="File to write it to.")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = asyncio.run(run(Building.make(Path(folder)), options.kills, options.seed))
+        found = asyncio.run(run(Building.make(Path(folder)), options.method, options.kills, options.seed))
     printed(found)
     if options.out is not None:
         written(options.out, found)

@@ -1,7 +1,7 @@
 """Phones at 5 Hz against a server on the same machine: how soon fixes are out, what memory does, what is shed.
 
-    python soak/load.py --devices 50 --seconds 300 --out runs/soak/steady.json
-    python soak/load.py --devices 10,25,50,100,150,200,300,400 --seconds 30 --out runs/soak/curve.json
+    python soak/load.py --devices 50 --seconds 300 --out runs/soak/steady-default.json
+    python soak/load.py --method nls-onesided --devices 10,25,50,100,200,400 --seconds 30
 
 One line of JSON for each number of devices; each gets a server of its own, just started. A phone keeps what was
 not acknowledged and sends it with what came since, as docs/phone.md asks. A fix is out when a live connection has
@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from served_building import (
+    CHEAP_METHOD,
     PERIOD_S,
     Building,
     Connection,
@@ -39,12 +40,13 @@ from served_building import (
 from websockets.asyncio.client import connect
 
 from fploc.serve.messages import Interval
+from fploc.shipped import DEFAULT
 
 WARM_UP_S = 5.0
 """At the beginning, not counted: the first tick compiles and allocates."""
 SETTLING_S = 60.0
 DEADLINE_S = 0.2
-MOST_AT_ONCE = 50
+MOST_AT_ONCE = 20
 LONGEST_DRAIN_S = 10.0
 
 
@@ -222,9 +224,11 @@ def summary(seen: Observed, seconds: float, devices: int) -> dict[str, object]:
         "measured": len(seen.measured_s),
         "accepted": seen.accepted.total(),
         "accepted_of_least_and_most": _least_and_most(seen.accepted, devices),
+        "accepted_fairness": fairness(seen.accepted, devices),
         "answers": dict(sorted(seen.answers.items())),
         "fixes_seen": len(latencies_ms),
         "fixes_seen_of_least_and_most": _least_and_most(seen.fixes, devices),
+        "fixes_seen_fairness": fairness(seen.fixes, devices),
         "within_200_ms": round(float(np.mean(latencies_ms <= 1000.0 * DEADLINE_S)), 5),
         "latency_p50_ms": _percentile(latencies_ms, 50),
         "latency_p99_ms": _percentile(latencies_ms, 99),
@@ -235,6 +239,16 @@ def summary(seen: Observed, seconds: float, devices: int) -> dict[str, object]:
         "memory_mb": round(settled[-1], 1),
         "memory_growth": round(settled[-1] / settled[0] - 1, 4),
     }
+
+
+def fairness(counts: Counter[str], devices: int) -> float:
+    """Return Jain's index of the phones' shares: 1 where all got the same, 1/n where one got everything.
+
+    Source: Jain, Chiu, Hawe, DEC-TR-301, 1984.
+    """
+    shares = np.array([counts[f"phone-{index}"] for index in range(devices)], dtype=np.float64)
+    squares = float(np.square(shares).sum())
+    return round(float(shares.sum()) ** 2 / (devices * squares), 4) if squares else 0.0
 
 
 def _least_and_most(counts: Counter[str], devices: int) -> list[int]:
@@ -250,6 +264,7 @@ def main() -> None:
     """Measure each number of devices with a server of its own."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--devices", default="50", help="Numbers, commas between.")
+    parser.add_argument("--method", choices=(DEFAULT, CHEAP_METHOD), default=DEFAULT, help="That is served.")
     parser.add_argument("--seconds", type=float, default=300.0)
     parser.add_argument("--out", type=Path, help="File to write all of it to.")
     options = parser.parse_args()
@@ -257,8 +272,9 @@ def main() -> None:
     for devices in map(int, options.devices.split(",")):
         with tempfile.TemporaryDirectory() as folder:
             building = Building.make(Path(folder))
-            with server(building) as process:
-                found.append(asyncio.run(load(building, process, devices, options.seconds)))
+            with server(building, options.method) as process:
+                seen = asyncio.run(load(building, process, devices, options.seconds))
+        found.append({"method": options.method, **seen})
         printed(found[-1])
         if options.out is not None:
             written(options.out, found)

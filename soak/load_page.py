@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-FILES = ("steady", "curve", "kills", "browser")
+FILES = ("kills", "browser")
+ROWS = ("steady", "curve")
+"""Made once for each method: NAME-METHOD.json, one row for each number of phones."""
+METHODS = ("default", "nls-onesided")
 IN_TIME = 0.99
 COLUMNS = (
     ("phones", "devices"),
@@ -21,6 +24,8 @@ COLUMNS = (
     ("p50, ms", "latency_p50_ms"),
     ("p99, ms", "latency_p99_ms"),
     ("age p50, ms", "age_p50_ms"),
+    ("taken in, least and most", "accepted_of_least_and_most"),
+    ("fairness", "accepted_fairness"),
     ("fixes seen, least and most", "fixes_seen_of_least_and_most"),
     ("refused", "refused"),
     ("most waiting", "most_waiting"),
@@ -34,42 +39,30 @@ def page(found: Mapping[str, Any]) -> str:
     Args:
         found: What docs/load.json holds: ``steady`` and ``curve`` (soak/load.py), ``kills``, ``browser``, ``note``.
     """
-    steady, curve, kills, browser = found["steady"][0], found["curve"], found["kills"], found["browser"]
-    numbers = ",".join(str(row["devices"]) for row in curve)
-    in_time = max((row["devices"] for row in curve if row["within_200_ms"] >= IN_TIME), default=0)
+    kills, browser = found["kills"], found["browser"]
     return f"""\
 # The server under load
 
 Written by `make soak`; do not edit. Phones and server share one machine, connections stay open, every phone
 measures 8 access points five times a second and keeps what was not acknowledged. A fix is in time where a live
-connection has it within 200 ms of when its tick was due; its age counts from the measurement.
+connection has it within 200 ms of when its tick was due; its age counts from the measurement. `default` is what
+`fploc serve` serves unless told otherwise.
 
 {found["note"]}
 
-## {steady["devices"]} phones for {steady["seconds"] / 60:g} minutes
+## The same load for minutes
 
-`python soak/load.py --devices {steady["devices"]} --seconds {steady["seconds"]:g}`
-
-- {_percent(steady["within_200_ms"])} of {steady["fixes_seen"]} fixes in time; half within \
-{steady["latency_p50_ms"]:.0f} ms, 99 % within {steady["latency_p99_ms"]:.0f} ms.
-- {steady["accepted"]} reading sets taken in, {steady["fixes_made"]} used, {_refused(steady["refused"])} uploads \
-put off; at most {steady["most_waiting"]} waited.
-- {steady["memory_mb"]:.0f} MB, {100 * steady["memory_growth"]:+.1f} % after the first minute; \
-{steady["server_cores"]:.2f} cores.
-
+{chr(10).join(_steady(row) for row in found["steady"])}
 ## More and more phones
 
-`python soak/load.py --devices {numbers} --seconds {curve[0]["seconds"]:g}`, a new server for each number:
+A new server for each number. Fairness is Jain's index of what was taken in of each phone: 1 where all got the same.
 
-| {" | ".join(title for title, _ in COLUMNS)} |
-|{"---|" * len(COLUMNS)}
-{chr(10).join(_row(row) for row in curve)}
-
-99 % are in time up to {in_time} phones. Past that, ticks begin late; then every phone is held to the same time
-between uploads (`fploc_upload_spacing_seconds`; answers `503` with `Retry-After`), live messages say `is_overloaded`
-and the map says so. Phones send what they kept in one upload, which costs less. At most about 5000 reading sets of
-a site wait; then nothing is taken in until there is room. Positions grow older, nothing acknowledged is lost. Far
-past the deadline (300 phones and more) it is chance whose upload finds room, and shares differ.
+{chr(10).join(_curve(method, rows) for method, rows in curves(found).items())}
+Past that, ticks begin late or reading sets wait, and phones stand in line: as much is let in as comes out, each
+phone has one place, and its next upload goes to the end (answers `503` with `Retry-After`;
+`fploc_upload_wait_seconds` says how long the line is). Live messages say `is_overloaded` and the map says so. Phones
+send what they kept in one upload, which costs less. At most about 5000 reading sets of a site wait; then nothing is
+taken in until there is room, and who was refused keeps the turn. Positions grow older, nothing acknowledged is lost.
 
 ## Killed in mid-load
 
@@ -86,17 +79,60 @@ browser together {_percent(browser["all_processes_cores"])}, at {browser["size"]
 """
 
 
+def curves(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the rows of each method's curve, in the order of the methods."""
+    methods = dict.fromkeys(row["method"] for row in found["curve"])
+    return {method: [row for row in found["curve"] if row["method"] == method] for method in methods}
+
+
+def most_in_time(rows: Sequence[Mapping[str, Any]]) -> int:
+    """Return the largest number of phones of a curve whose fixes are in time; 0 where there is none."""
+    return max((row["devices"] for row in rows if row["within_200_ms"] >= IN_TIME), default=0)
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return a curve as a Markdown table."""
+    head = f"| {' | '.join(title for title, _ in COLUMNS)} |\n|{'---|' * len(COLUMNS)}"
+    return "\n".join([head, *(_row(row) for row in rows)])
+
+
+def _steady(row: Mapping[str, Any]) -> str:
+    return f"""\
+`python soak/load.py --method {row["method"]} --devices {row["devices"]} --seconds {row["seconds"]:g}`
+
+- {_percent(row["within_200_ms"])} of {row["fixes_seen"]} fixes in time; half within \
+{row["latency_p50_ms"]:.0f} ms, 99 % within {row["latency_p99_ms"]:.0f} ms.
+- {row["accepted"]} reading sets taken in, {row["fixes_made"]} used, {_refused(row["refused"])} uploads \
+put off; at most {row["most_waiting"]} waited.
+- {row["memory_mb"]:.0f} MB, {100 * row["memory_growth"]:+.1f} % after the first minute; \
+{row["server_cores"]:.2f} cores.
+"""
+
+
+def _curve(method: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    numbers = ",".join(str(row["devices"]) for row in rows)
+    return f"""\
+`python soak/load.py --method {method} --devices {numbers} --seconds {rows[0]["seconds"]:g}`:
+
+{table(rows)}
+
+With `{method}` 99 % are in time up to {most_in_time(rows)} phones.
+"""
+
+
 def _row(row: Mapping[str, Any]) -> str:
-    return "| " + " | ".join(_cell(key, row[key]) for _, key in COLUMNS) + " |"
+    return "| " + " | ".join(_cell(key, row.get(key)) for _, key in COLUMNS) + " |"
 
 
 def _cell(key: str, value: Any) -> str:
+    if value is None:
+        return "–"
     match key:
         case "within_200_ms":
             return _percent(value)
         case "refused":
             return str(_refused(value))
-        case "fixes_seen_of_least_and_most":
+        case "accepted_of_least_and_most" | "fixes_seen_of_least_and_most":
             return f"{value[0]}, {value[1]}"
         case _:
             return f"{value:.0f}" if key.endswith("_ms") else str(value)
@@ -118,6 +154,9 @@ def main() -> None:
     parser.add_argument("--note", required=True, help="On the machine, and what else ran on it.")
     options = parser.parse_args()
     found = {name: json.loads((options.found / f"{name}.json").read_text("utf-8")) for name in FILES}
+    for name in ROWS:
+        files = [options.found / f"{name}-{method}.json" for method in METHODS]
+        found[name] = [row for file in files for row in json.loads(file.read_text("utf-8"))]
     found["note"] = options.note
     text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
     (options.docs / "load.json").write_text(text, encoding="utf-8")

@@ -8,6 +8,7 @@ Facts are what records cannot hold, as plain JSON values; every key may be missi
 - ``differences``, ``against_best`` and ``recordings``: rows of ``fploc.evaluation.certainty`` with ``protocol``
   and ``site``;
 - ``timings``: rows of ``fploc bench``;
+- ``load_curve``: rows of ``curve`` in docs/load.json (``make soak``);
 - ``training_cost``: rows of ``stage``, ``seconds`` and, where known, ``links``, ``preset`` and ``commit``;
 - ``virtual_rates``: links per second by name of the networks;
 - ``ablations``: why each was made, by its name.
@@ -55,6 +56,9 @@ HEADLINES = (
 )
 """Site, the paper's RMSE, and the goal that was set before the trainings, metres."""
 
+IN_TIME = 0.99
+"""Share of fixes that must be out by the deadline."""
+
 Cell = Callable[[Slot], str]
 
 
@@ -87,6 +91,7 @@ def results_page(records: Sequence[TrackedRecord], facts: Facts, *, preset: str 
         "Published widths": _published_widths(records),
         "Complexity": _complexity(book, facts),
         "Time of a fix": _timings(facts),
+        "The server under load": _load(facts),
         "Cost of training": _training(facts),
     }
     body = "".join(f"\n## {title}\n\n{text.strip()}\n" for title, text in sections.items())
@@ -404,6 +409,37 @@ def _timings(facts: Facts) -> str:
         "several devices at once, each one's share. Methods without the filter behind them, which has rows of its "
         f"own.\n\n{markdown_grid(rows) or _not_run()}"
     )
+
+
+def _load(facts: Facts) -> str:
+    curve = facts.get("load_curve", ())
+    rows = [
+        {
+            "method": row["method"],
+            "phones": str(row["devices"]),
+            "in time": f"{100 * row['within_200_ms']:.1f} %",
+            "median [ms]": f"{row['latency_p50_ms']:.0f}",
+            "99 % [ms]": f"{row['latency_p99_ms']:.0f}",
+            "age, median [ms]": f"{row['age_p50_ms']:.0f}",
+            "fairness": _optional(row.get("accepted_fairness")),
+        }
+        for row in curve
+    ]
+    in_time: dict[str, int] = {}
+    for row in curve:
+        most = row["devices"] if row["within_200_ms"] >= IN_TIME else 0
+        in_time[row["method"]] = max(most, in_time.get(row["method"], 0))
+    listed = _listed(f"{devices} with `{method}`" for method, devices in in_time.items())
+    return (
+        "Phones at 5 Hz with 8 access points and `fploc serve` on one machine, by `make soak`; what else was "
+        "measured stands in [load.md](load.md). In time: a live connection has the fix within 200 ms of its tick. "
+        "Fairness: Jain's index of what was taken in of each phone, 1 where all got the same. 99 % are in time up to "
+        f"this many phones: {listed}.\n\n{markdown_grid(rows) or _not_run()}"
+    )
+
+
+def _optional(share: float | None) -> str:
+    return UNKNOWN if share is None else f"{share:.3f}"
 
 
 def _training(facts: Facts) -> str:

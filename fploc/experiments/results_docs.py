@@ -15,6 +15,8 @@ from fploc.files import whole
 
 BASE, WIDE = "full", "published"
 RATES, TIMINGS = "virtual-stream.json", "bench.json"
+LOAD = "load.json"
+"""In docs already: soak/load_page.py writes it."""
 DOCUMENT = "results"
 
 
@@ -42,9 +44,12 @@ def update_docs(runs: Path, docs: Path) -> Path:
 
 
 def page_of(docs: Path) -> str:
-    """Return the results page that the records and facts below ``docs`` make."""
+    """Return the results page that the records and facts below ``docs`` make, and the load that was measured."""
     records = read_tracked_records(docs / f"{DOCUMENT}.jsonl")
-    return results_page(records, json.loads((docs / f"{DOCUMENT}-facts.json").read_text(encoding="utf-8")))
+    facts = json.loads((docs / f"{DOCUMENT}-facts.json").read_text(encoding="utf-8"))
+    load = docs / LOAD
+    curve = json.loads(load.read_text(encoding="utf-8"))["curve"] if load.is_file() else []
+    return results_page(records, facts | {"load_curve": curve})
 
 
 def _facts(file: Path) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from sklearn.ensemble import HistGradientBoostingRegressor
 from torch import Tensor
 
 from fploc.conf import instantiate, read_conf
@@ -27,6 +27,9 @@ from fploc.methods.link_history import LinkHistory
 from fploc.sites.site import Site
 from fploc.solvers.losses import Loss
 from fploc.solvers.nonlinear import NonlinearSettings, solve_nonlinear
+
+if TYPE_CHECKING:
+    from sklearn.ensemble import HistGradientBoostingRegressor
 
 NAME = "gbm"
 SEED = 0
@@ -70,6 +73,9 @@ class GbmSettings:
 
     def model(self) -> HistGradientBoostingRegressor:
         """Return an untrained model of a median."""
+        # Every method is registered with this module; a server has no use for what only this one needs.
+        from sklearn.ensemble import HistGradientBoostingRegressor
+
         return HistGradientBoostingRegressor(
             loss="absolute_error",
             learning_rate=self.learning_rate,

@@ -84,7 +84,7 @@ class DeviceClock:
         """Note that an interval waits."""
         self._waiting.add(t_ms)
         self.newest_ms = t_ms if self.newest_ms is None else max(self.newest_ms, t_ms)
-        self.received_ms = received_ms
+        self.received_ms = max(self.received_ms, received_ms)
 
     def withdraw(self, track: int, t_ms: float) -> None:
         """Note that an interval waits no more and was not used."""
@@ -97,7 +97,8 @@ class DeviceClock:
             return
         self._waiting.discard(t_ms)
         self._used.append(t_ms)
-        self.used_ms = t_ms
+        # After a restart the state sees reading sets again that it had seen.
+        self.used_ms = t_ms if self.used_ms is None else max(self.used_ms, t_ms)
 
     def restart(self, recording: str) -> None:
         """Start a track anew."""

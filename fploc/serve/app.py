@@ -24,7 +24,7 @@ from starlette.exceptions import HTTPException
 
 from fploc import __version__
 from fploc.serve.access import Access
-from fploc.serve.guard import Guard
+from fploc.serve.guard import Guard, sender_of
 from fploc.serve.limits import limited_body
 from fploc.serve.messages import (
     LATEST_MS,
@@ -49,7 +49,7 @@ from fploc.serve.settings import ServeSettings
 from fploc.serve.site_service import ServedSite, SiteService, now_ms
 from fploc.serve.store import Store
 from fploc.serve.tokens import Scope
-from fploc.serve.upload_spacing import UploadSpacing
+from fploc.serve.upload_turns import UploadTurns
 from fploc.serve.writer import StoreWriter
 
 log = logging.getLogger("fploc.serve")
@@ -81,7 +81,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         settings: Limits and times.
     """
     metrics = Metrics()
-    uploads = UploadSpacing(time.monotonic, settings.late_share)
+    uploads = UploadTurns(time.monotonic)
     access = Access(store, settings)
     services: dict[str, SiteService] = {}
     writers: list[StoreWriter] = []
@@ -99,9 +99,9 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         for task in ticking:
             task.cancel()
         await asyncio.gather(*ticking, return_exceptions=True)
-        await asyncio.to_thread(writer.close)
         for service in services.values():
             service.close()
+        await asyncio.to_thread(writer.close)
 
     app = FastAPI(
         title="fploc",
@@ -167,9 +167,10 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         kind = request.headers.get("content-type", "application/json").partition(";")[0].strip().lower()
         if kind != "application/json":
             raise RefusedError(415, "not_json", "send application/json")
-        service.require_room()
+        sender = sender_of(request.scope)
+        service.require_room(sender)
         body = await limited_body(request, settings.most_body_bytes)
-        return await service.receive(Measurements.model_validate_json(body))
+        return await service.receive(Measurements.model_validate_json(body), sender)
 
     @app.get("/v1/sites/{site}/positions", dependencies=may_read, response_model=Positions)
     async def positions(service: Service) -> Response:
@@ -340,6 +341,7 @@ def _description(service: SiteService, settings: ServeSettings) -> SiteDescripti
         is_made_up=site.made_up,
         device_height_m=site.device_height_m,
         method=service.session.localizer.method.name,
+        speed_prior_mps=service.site.speed_prior_mps,
         tick_ms=settings.tick_ms,
         access_points=[
             AccessPointPlace(name=ap.name, bssid=ap.mac, x_m=ap.x_m, y_m=ap.y_m, height_m=ap.height_m)

@@ -25,7 +25,6 @@ from fploc.sites.made_up import LINE_OF_SIGHT_OFFSET_M, made_up_site
 SEED = 7
 LAPS = 2
 LAP_S = 300.0
-WALKING_MPS = 1.0
 PACE = 3.0
 """The made-up walks are as slow as the robots of the measured laps."""
 
@@ -47,12 +46,14 @@ async def _demo(folder: Path, port: int) -> None:
     name = f"made-up-{SEED}"
     if not (folder / "packed" / name).is_dir():
         build_sites(None, folder, [made_up_site(SEED, folder / "files", laps=LAPS, duration_s=LAP_S)])
-    request = ModelRequest(DEFAULT, str(LINE_OF_SIGHT_OFFSET_M), WALKING_MPS, "default", 0, folder)
+    settings = ServeSettings.read("demo")
+    offset, speed_mps = str(LINE_OF_SIGHT_OFFSET_M), settings.speed_prior_mps
+    request = ModelRequest(DEFAULT, offset, speed_mps, "default", 0, folder)
     site = served_site(folder, name, request)
     store = Store(sqlite_url(folder / "state"))
     token = make_token(store, "demo phones", frozenset({Scope.UPLOAD}), days=1.0, now_ms=time.time() * 1000.0)
     with listening_socket("127.0.0.1", port) as listening:
-        server = server_of(make_app([site], store, ServeSettings.read("demo")), listening)
+        server = server_of(make_app([site], store, settings), listening)
         print(announcement([site], listening), file=sys.stderr, flush=True)  # noqa: T201
         url = f"http://127.0.0.1:{listening.getsockname()[1]}"
         print(f"Open {url} in a browser; Ctrl-C ends it.", flush=True)  # noqa: T201

@@ -9,7 +9,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from fploc.serve.metrics import Metrics
 from fploc.serve.refusals import RefusedError
-from fploc.serve.upload_spacing import UploadSpacing
+from fploc.serve.upload_turns import UploadTurns
 
 CONTENT_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
@@ -33,11 +33,11 @@ class Guard:
     Args:
         app: The rest.
         most_in_flight: Requests at one time; more are turned away at once instead of making a queue.
-        uploads: How often a phone may send something.
+        uploads: Whose turn it is to send something.
         metrics: Where those are counted.
     """
 
-    def __init__(self, app: ASGIApp, most_in_flight: int, uploads: UploadSpacing, metrics: Metrics) -> None:
+    def __init__(self, app: ASGIApp, most_in_flight: int, uploads: UploadTurns, metrics: Metrics) -> None:
         self._app = app
         self._most_in_flight = most_in_flight
         self._uploads = uploads
@@ -58,7 +58,7 @@ class Guard:
         if self._in_flight >= self._most_in_flight:
             await self._refused("too many requests at once", 1.0)(scope, receive, send_with_headers)
             return
-        if scope["method"] == "POST" and (wait_s := self._uploads.wait_s(_sender(scope))) > 0.0:
+        if scope["method"] == "POST" and (wait_s := self._uploads.wait_s(sender_of(scope))) > 0.0:
             await self._refused("keep it, and send it together with what comes", wait_s)(
                 scope, receive, send_with_headers
             )
@@ -74,7 +74,7 @@ class Guard:
         return RefusedError(503, "overloaded", message, retry_after_s=math.ceil(wait_s)).response()
 
 
-def _sender(scope: Scope) -> str:
+def sender_of(scope: Scope) -> str:
     """Return what tells phones apart before anything is checked: the token, else the address."""
     for name, value in scope["headers"]:
         if name == b"authorization":

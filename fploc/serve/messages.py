@@ -194,6 +194,7 @@ class SiteDescription(_Message):
     is_made_up: bool
     device_height_m: float
     method: str
+    speed_prior_mps: float
     tick_ms: float
     access_points: list[AccessPointPlace]
     plan: PlanPlace

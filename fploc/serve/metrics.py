@@ -35,9 +35,9 @@ class Metrics:
         self.devices = Gauge("fploc_devices", "Devices that are followed", ["site"], registry=self._registry)
         self.waiting = Gauge("fploc_waiting", "Reading sets that wait", ["site"], registry=self._registry)
         self.live = Gauge("fploc_live_connections", "Live connections", ["site"], registry=self._registry)
-        self.upload_spacing = Gauge(
-            "fploc_upload_spacing_seconds",
-            "Time between uploads that every phone is held to; 0 without overload",
+        self.upload_wait = Gauge(
+            "fploc_upload_wait_seconds",
+            "How long a phone that asks now waits for its turn to upload; 0 without overload",
             registry=self._registry,
         )
         self.accepted = Counter(

@@ -27,7 +27,7 @@ class ModelRequest:
     Args:
         method: Name of the method.
         calibration: How range offsets are found, or a number of metres; None for the method's own.
-        speed_prior: Of the filter, metres per second.
+        speed_prior: How fast filters take people to be, metres per second.
         preset: That the method was trained with.
         seed: Of its training.
         runs: Folder of trained artifacts.
@@ -77,7 +77,7 @@ def served_site(data_root: Path, name: str, request: ModelRequest) -> ServedSite
     else:
         settings = KalmanSettings.for_speed(request.speed_prior)
         localizer = Localizer(method, packed.site, offsets, settings)
-    return ServedSite(localizer, plan_place(packed), (packed.folder / PLAN).read_bytes())
+    return ServedSite(localizer, plan_place(packed), (packed.folder / PLAN).read_bytes(), request.speed_prior)
 
 
 def _ready(

@@ -1,4 +1,4 @@
-"""What is stored of a device: reading sets that wait, fixes, and the state to go on from."""
+"""What is stored of a device: reading sets that wait or that no stored state has seen, fixes, and that state."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class WaitingRow:
-    """A reading set that was accepted and not yet used; ``body`` is its ``Interval`` as JSON."""
+    """A reading set that was accepted and that no stored state has seen; ``body`` is its ``Interval`` as JSON."""
 
     site: str
     device: str
@@ -42,7 +42,7 @@ class FixRow:
 
 @dataclass(frozen=True)
 class DeviceRow:
-    """The state of a device after its last reading set.
+    """How far a device has come.
 
     Args:
         site: Name of the site.
@@ -51,8 +51,6 @@ class DeviceRow:
         recording: As it names it.
         t_ms: Time of the last reading set used, device clock.
         received_ms: When that came in, server's clock.
-        layout: What ``state`` can be restored into.
-        state: Of method and filter.
         fix: Last ``FixRow`` with a position, as JSON; empty where there was none.
     """
 
@@ -62,6 +60,25 @@ class DeviceRow:
     recording: str
     t_ms: float
     received_ms: float
+    fix: str
+
+
+@dataclass(frozen=True)
+class StateRow:
+    """The state of a device after one of its reading sets; it goes on from here by those that came after.
+
+    Args:
+        site: Name of the site.
+        device: As it calls itself.
+        track: Of the reading set.
+        t_ms: Of the reading set, device clock.
+        layout: What ``state`` can be restored into.
+        state: Of method and filter.
+    """
+
+    site: str
+    device: str
+    track: int
+    t_ms: float
     layout: str
     state: bytes
-    fix: str

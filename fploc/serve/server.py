@@ -56,7 +56,10 @@ def announcement(sites: Sequence[ServedSite], listening: socket.socket) -> str:
     """Return what is served where, and who can reach it."""
     host, port = listening.getsockname()[:2]
     shown = f"[{host}]" if ":" in host else host
-    names = ", ".join(f"{one.localizer.site.name} with {one.localizer.method.name}" for one in sites)
+    names = ", ".join(
+        f"{one.localizer.site.name} with {one.localizer.method.name} for people at {one.speed_prior_mps:g} m/s"
+        for one in sites
+    )
     reach = (
         "only this machine can reach it; --host 0.0.0.0 opens it to the network"
         if ipaddress.ip_address(host).is_loopback

@@ -22,13 +22,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fploc.intervals import Estimate, Intervals, NoFix
+from fploc.intervals import Intervals, NoFix
 from fploc.localizer import Localizer
 from fploc.serve.admission import DeviceClock, Verdict
 from fploc.serve.device_states import DeviceStates
 from fploc.serve.ellipse import ellipse95
 from fploc.serve.messages import Interval, Measurements
-from fploc.serve.rows import DeviceRow, FixRow, WaitingRow
+from fploc.serve.rows import DeviceRow, FixRow, StateRow, WaitingRow
 from fploc.serve.settings import ServeSettings
 
 FARTHEST_READING_M = 100.0
@@ -62,6 +62,8 @@ class FollowedDevice:
         slot: Where its state is; None until it is first computed.
         stored: State to begin from, where it was restored.
         state_track: Track that the state belongs to.
+        state_ms: Time of the last interval that the state has seen; None before the first.
+        unstored: Intervals that it has seen since it was stored.
         fix: Last fix with a position.
         last: What was made of its last interval.
         heard: Values of its last interval, shape (3, A).
@@ -72,6 +74,8 @@ class FollowedDevice:
     slot: int | None = None
     stored: bytes | None = None
     state_track: int = 0
+    state_ms: float | None = None
+    unstored: int = 0
     fix: FixRow | None = None
     last: FixRow | None = None
     heard: NDArray[np.float64] | None = None
@@ -98,21 +102,22 @@ class Batch:
 
 @dataclass(frozen=True)
 class Computed:
-    """What was made of a batch: estimates as arrays (B, 2), (B, 2, 2), (B,), and the states after it."""
+    """What was made of a batch: estimates as arrays (B, 2), (B, 2, 2), (B,), and the states that are to be stored."""
 
     batch: Batch
     positions_m: NDArray[np.float64]
     covariances_m2: NDArray[np.float64]
     reasons: NDArray[np.int64]
-    states: list[bytes]
+    states: list[StateRow]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What is to be stored of a batch."""
+    """What is to be stored of a batch: every fix, how far devices have come, states of some of them."""
 
     fixes: list[FixRow]
     devices: list[DeviceRow]
+    states: list[StateRow]
 
 
 @dataclass(frozen=True)
@@ -173,8 +178,13 @@ class SiteSession:
         fits = own + count <= max(1.0, self.settings.most_waiting / others)
         return fits or (own == 0 and not self.is_full)
 
-    def restore(self, row: DeviceRow | None, waiting: Iterable[WaitingRow], device: str) -> None:
-        """Follow a device from what was stored of it; None and nothing for one never seen."""
+    def restore(
+        self, row: DeviceRow | None, state: StateRow | None, waiting: Iterable[WaitingRow], device: str
+    ) -> None:
+        """Follow a device from what was stored of it; None and nothing for one never seen.
+
+        Intervals that were used after the state was stored are used again: it goes on from where it was.
+        """
         followed = FollowedDevice(DeviceClock(self.settings))
         if row is not None:
             followed.clock = DeviceClock(
@@ -184,18 +194,22 @@ class SiteSession:
                 used_ms=row.t_ms,
                 received_ms=row.received_ms,
             )
-            followed.state_track = row.track
             followed.fix = followed.last = FixRow(**json.loads(row.fix)) if row.fix else None
-            if row.layout == self._states.layout:
-                followed.stored = row.state
+        if state is not None:
+            followed.state_track, followed.state_ms = state.track, state.t_ms
+            if state.layout == self._states.layout:
+                followed.stored = state.state
         self.devices[device] = followed
         for one in sorted(waiting, key=lambda entry: (entry.track, entry.t_ms)):
             clock = followed.clock
+            if one.track < clock.track:
+                continue
             while clock.track < one.track:
                 clock.restart(one.recording)
             clock.accept(one.t_ms, one.received_ms)
             interval = Interval.model_validate_json(one.body)
-            self._queue(followed, self._queued(interval, clock, one.received_ms)[0])
+            place = one.track, one.recording
+            self._queue(followed, self._queued(interval, place, one.received_ms)[0])
 
     def ingest(self, message: Measurements, now_ms: float) -> Ingested:
         """Put the intervals of a message into the queue of its device, which is followed already.
@@ -214,7 +228,7 @@ class SiteSession:
             verdicts[verdict] += 1
             if verdict is not Verdict.ACCEPTED:
                 continue
-            queued, strangers = self._queued(interval, clock, now_ms)
+            queued, strangers = self._queued(interval, (clock.track, clock.recording), now_ms)
             self._queue(followed, queued)
             unknown += strangers
             links += len(interval.links)
@@ -231,7 +245,10 @@ class SiteSession:
             )
         return Ingested(verdicts, unknown, links, rows)
 
-    def _queued(self, interval: Interval, clock: DeviceClock, now_ms: float) -> tuple[QueuedInterval, int]:
+    def _queued(
+        self, interval: Interval, place: tuple[int, str], now_ms: float
+    ) -> tuple[QueuedInterval, int]:
+        """Return an interval of a track, ``place`` its number and recording, and its unknown access points."""
         values = np.zeros((3, len(self._column)))
         unknown = 0
         for reading in interval.readings:
@@ -246,7 +263,7 @@ class SiteSession:
                 reading.rss_dbm or 0.0,
             )
         truth = None if interval.truth is None else (interval.truth.x_m, interval.truth.y_m)
-        return QueuedInterval(clock.track, clock.recording, interval.t_ms, now_ms, values, truth), unknown
+        return QueuedInterval(*place, interval.t_ms, now_ms, values, truth), unknown
 
     def _queue(self, followed: FollowedDevice, queued: QueuedInterval) -> None:
         insort(followed.waiting, queued, key=lambda one: one.order)
@@ -277,6 +294,8 @@ class SiteSession:
             if one.track != followed.state_track:
                 anew.append(slot)
                 followed.state_track = one.track
+            followed.state_ms = one.t_ms
+            followed.unstored += 1
             queued.append(one)
             slots.append(slot)
         self.waiting -= len(chosen)
@@ -289,6 +308,9 @@ class SiteSession:
             if followed.stored is not None:
                 self._states.restore(followed.slot, followed.stored)
                 followed.stored = None
+            else:
+                # Not the states of all new devices at the same time.
+                followed.unstored = followed.slot % self.settings.store_states_every
         return followed.slot
 
     @torch.inference_mode()
@@ -308,7 +330,43 @@ class SiteSession:
         )
         state, found = self.localizer.advance(self._states.gather(batch.slots), intervals)
         self._states.scatter(batch.slots, state)
-        return _computed(batch, found, self._states.packed(batch.slots))
+        return Computed(
+            batch=batch,
+            positions_m=found.positions.double().numpy(),
+            covariances_m2=found.covariances.double().numpy(),
+            reasons=found.reasons.numpy(),
+            states=self._states_of([name for name in batch.devices if self._is_due(self.devices[name])]),
+        )
+
+    def _is_due(self, followed: FollowedDevice) -> bool:
+        """Return whether so much was seen that the state is to be stored."""
+        return followed.unstored >= self.settings.store_states_every
+
+    def _states_of(self, devices: Sequence[str]) -> list[StateRow]:
+        """Return states of devices to be stored, and count them as stored."""
+        if not devices:
+            return []
+        rows = []
+        slots = torch.tensor([self.devices[name].slot for name in devices], dtype=torch.int64)
+        for name, state in zip(devices, self._states.packed(slots), strict=True):
+            followed = self.devices[name]
+            assert followed.state_ms is not None, "it has seen an interval since it was stored"
+            followed.unstored = 0
+            rows.append(
+                StateRow(
+                    site=self.name,
+                    device=name,
+                    track=followed.state_track,
+                    t_ms=followed.state_ms,
+                    layout=self._states.layout,
+                    state=state,
+                )
+            )
+        return rows
+
+    def unstored(self) -> Outcome:
+        """Return the states that are not stored yet, as when the session ends."""
+        return Outcome([], [], self._states_of([name for name, one in self.devices.items() if one.unstored]))
 
     def apply(self, computed: Computed) -> Outcome:
         """Take what was computed as the latest of each device, and return what is to be stored."""
@@ -319,10 +377,9 @@ class SiteSession:
             computed.positions_m.tolist(),
             computed.covariances_m2.tolist(),
             computed.reasons.tolist(),
-            computed.states,
             strict=True,
         )
-        for name, one, position, covariance, reason, state in everything:
+        for name, one, position, covariance, reason in everything:
             fix = self._fix(name, one, position, covariance, NoFix(reason))
             fixes.append(fix)
             followed = self.devices[name]
@@ -335,14 +392,12 @@ class SiteSession:
                     device=name,
                     track=one.track,
                     recording=one.recording,
-                    t_ms=one.t_ms,
+                    t_ms=_farthest(followed.clock, one),
                     received_ms=one.received_ms,
-                    layout=self._states.layout,
-                    state=state,
                     fix="" if followed.fix is None else json.dumps(vars(followed.fix)),
                 )
             )
-        return Outcome(fixes, rows)
+        return Outcome(fixes, rows, computed.states)
 
     def _fix(
         self,
@@ -382,16 +437,17 @@ class SiteSession:
                 break
         return outcomes
 
-    def forget_silent(self, now_ms: float) -> list[str]:
-        """Stop following devices that have been silent for long, and return their names."""
+    def forget_silent(self, now_ms: float) -> Outcome:
+        """Stop following devices that have been silent for long, and return their states, to be stored."""
         gone = [
             name
             for name, followed in self.devices.items()
             if not followed.waiting and now_ms - followed.clock.received_ms > self.settings.forget_ms
         ]
+        states = self._states_of([name for name in gone if self.devices[name].unstored])
         for name in gone:
             self.forget(name)
-        return gone
+        return Outcome([], [], states)
 
     def forget(self, device: str) -> None:
         """Stop following a device."""
@@ -437,11 +493,6 @@ def _ellipse_of(fix: FixRow) -> dict[str, float]:
     return ellipse95(fix.variance_x_m2, fix.variance_y_m2, fix.covariance_xy_m2)
 
 
-def _computed(batch: Batch, found: Estimate, states: list[bytes]) -> Computed:
-    return Computed(
-        batch=batch,
-        positions_m=found.positions.double().numpy(),
-        covariances_m2=found.covariances.double().numpy(),
-        reasons=found.reasons.numpy(),
-        states=states,
-    )
+def _farthest(clock: DeviceClock, one: QueuedInterval) -> float:
+    """Return the time of the last interval of a track that was used, which may be used again after a restart."""
+    return one.t_ms if clock.used_ms is None or clock.track != one.track else clock.used_ms

@@ -13,11 +13,15 @@ class ServeSettings:
 
     Args:
         tick_ms: Time between ticks.
+        speed_prior_mps: How fast filters take people to be, metres per second; `--speed-prior` takes its place.
         late_share: Share of a tick after which one that has not begun is late: then phones must upload less often.
+        waiting_share: Share of ``most_waiting`` after which so much waits behind a tick that phones must upload less.
         compute_share: Share of a tick after which no further round of intervals is begun.
         most_at_once: Devices in one batch; the ones that wait longest go first.
         most_devices: Devices of a site that are followed at one time.
         most_waiting: Intervals of a site that may wait, and a backlog beyond; its devices share them alike.
+        store_states_every: Reading sets of a device after which its state is stored; those since are used again
+            after a restart.
         silent_ms: A device that sent nothing for so long is marked silent.
         forget_ms: A device that sent nothing for so long leaves the map; its track stays stored.
         longest_clock_jump_ms: A device's clock may jump so far forward, or farther where the server's own clock
@@ -34,11 +38,14 @@ class ServeSettings:
     """
 
     tick_ms: float
+    speed_prior_mps: float
     late_share: float
+    waiting_share: float
     compute_share: float
     most_at_once: int
     most_devices: int
     most_waiting: int
+    store_states_every: int
     silent_ms: float
     forget_ms: float
     longest_clock_jump_ms: float

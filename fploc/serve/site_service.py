@@ -21,7 +21,7 @@ from fploc.serve.refusals import RefusedError
 from fploc.serve.session import Batch, Computed, Ingested, Outcome, SiteSession
 from fploc.serve.settings import ServeSettings
 from fploc.serve.store import Store
-from fploc.serve.upload_spacing import UploadSpacing
+from fploc.serve.upload_turns import UploadTurns
 from fploc.serve.writer import StoreWriter
 
 CLEAN_EVERY_S = 600.0
@@ -42,11 +42,13 @@ class ServedSite:
         localizer: Method, offsets and filter.
         plan: Its place; ``url`` is where the server gives the picture out.
         plan_png: The picture.
+        speed_prior_mps: How fast the filter takes people to be.
     """
 
     localizer: Localizer
     plan: PlanPlace
     plan_png: bytes
+    speed_prior_mps: float
 
 
 def now_ms() -> float:
@@ -62,7 +64,7 @@ class SiteService:
         settings: Limits and times.
         store: What survives.
         writer: Writes to it.
-        uploads: How often a phone may upload: less often where ticks begin late.
+        uploads: Whose turn it is to upload, where ticks fall behind.
         metrics: Where things are counted.
     """
 
@@ -72,7 +74,7 @@ class SiteService:
         settings: ServeSettings,
         store: Store,
         writer: StoreWriter,
-        uploads: UploadSpacing,
+        uploads: UploadTurns,
         metrics: Metrics,
     ) -> None:
         self.site = site
@@ -82,7 +84,6 @@ class SiteService:
         self.tick_number = 0
         self.is_failing = False
         self.is_overloaded = False
-        self._has_shed = False
         self._store = store
         self._writer = writer
         self._uploads = uploads
@@ -103,18 +104,25 @@ class SiteService:
         for device in self._store.followed(self.name, now_ms() - self.settings.forget_ms):
             self.session.restore(*self._store.device(self.name, device), device)
 
-    def require_room(self) -> None:
+    def require_room(self, sender: str) -> None:
         """Do nothing where something more may wait; to be asked before a message is read.
+
+        Args:
+            sender: Whose turn it is; where there is no room it stays so.
 
         Raises:
             RefusedError: If too much waits.
         """
         if self.session.is_full:
-            self._has_shed = True
+            self._uploads.give_back(sender)
             raise RefusedError(503, "overloaded", "too much waits: send it again later", retry_after_s=2)
 
-    async def receive(self, message: Measurements) -> Receipt:
+    async def receive(self, message: Measurements, sender: str) -> Receipt:
         """Take a message in; once this returns, what it accepted is stored.
+
+        Args:
+            message: Checked.
+            sender: Whose turn it is; where there is no room it stays so.
 
         Raises:
             RefusedError: If there is no room for it, or it cannot be stored.
@@ -128,7 +136,7 @@ class SiteService:
                 retry_after_s=60,
             )
         if not session.has_room_for_intervals(message.device, len(message.intervals)):
-            self._has_shed = True
+            self._uploads.give_back(sender)
             raise RefusedError(
                 503, "overloaded", "too much of this device waits: send it again later", retry_after_s=2
             )
@@ -136,6 +144,7 @@ class SiteService:
             stored = await asyncio.to_thread(self._store.device, self.name, message.device)
             if message.device not in session.devices:
                 session.restore(*stored, message.device)
+        self._uploads.charge(sender, len(message.intervals))
         done = session.ingest(message, now_ms())
         try:
             await asyncio.wrap_future(self._writer.write(done.rows, []))
@@ -167,35 +176,43 @@ class SiteService:
         period_s = self.settings.tick_ms / 1000.0
         due = time.monotonic() + period_s
         while True:
-            await asyncio.sleep(max(0.0, due - time.monotonic()))
-            late_s = time.monotonic() - due
+            asked = max(due, time.monotonic())
+            await asyncio.sleep(asked - time.monotonic())
+            began = time.monotonic()
+            late_s = began - due
+            used = 0
             try:
-                await self.tick(now_ms() - 1000.0 * late_s)
+                used = await self.tick(now_ms() - 1000.0 * late_s)
                 self.is_failing = False
             except Exception:
                 # What was not computed still waits in the store; one fault must not stop all other devices.
                 log.exception("tick %d of %s", self.tick_number, self.name)
                 self.is_failing = True
             self._metrics.latency.labels(self.name).observe(time.monotonic() - due)
-            self._uploads.note_tick(late_s, period_s)
-            self._metrics.upload_spacing.set(self._uploads.spacing_s)
+            pressure = max(
+                (began - asked) / (self.settings.late_share * period_s),
+                self.session.waiting / (self.settings.waiting_share * self.settings.most_waiting),
+            )
+            self._uploads.note_tick(self.name, pressure, used)
+            self._metrics.upload_wait.set(self._uploads.line_s)
             due += period_s
             missed = int((time.monotonic() - due) / period_s)
             if missed > 0:
                 self._metrics.missed_ticks.labels(self.name).inc(missed)
                 due += missed * period_s
-            self.is_overloaded = missed > 0 or self._has_shed or self._uploads.is_shedding
-            self._has_shed = False
+            self.is_overloaded = missed > 0 or self._uploads.is_shedding
 
-    async def tick(self, due_ms: float) -> None:
-        """Advance what waits, store it, and tell whoever listens."""
+    async def tick(self, due_ms: float) -> int:
+        """Advance what waits, store it, tell whoever listens, and return how many reading sets were used."""
         self.tick_number += 1
         async with self._ticking:
             outcomes = await self._advance()
             if outcomes:
                 await self._wait_for_the_store()
                 self._storing.append(self._writer.write([], outcomes))
-            self.session.forget_silent(now_ms())
+            gone = self.session.forget_silent(now_ms())
+            if gone.states:
+                self._storing.append(self._writer.write([], [gone]))
         self.live.publish(self.text(due_ms))
         for fix in (fix for outcome in outcomes for fix in outcome.fixes):
             self._metrics.fixes.labels(self.name, fix.reason).inc()
@@ -206,6 +223,7 @@ class SiteService:
         if time.monotonic() >= self._clean_at:
             self._clean_at = time.monotonic() + CLEAN_EVERY_S
             await asyncio.to_thread(self._store.forget_fixes, now_ms() - self.settings.keep_tracks_ms)
+        return sum(len(outcome.fixes) for outcome in outcomes)
 
     async def _wait_for_the_store(self) -> None:
         """Wait where the store lags behind by many ticks, so that what it has still to write stays bounded."""
@@ -262,5 +280,6 @@ class SiteService:
         )
 
     def close(self) -> None:
-        """End the thread that computes."""
+        """End the thread that computes, and hand in the states as they are."""
         self._computer.shutdown()
+        self._writer.write([], [self.session.unstored()])

@@ -25,6 +25,7 @@ from sqlalchemy import (
     create_engine,
     delete,
     event,
+    exists,
     insert,
     inspect,
     or_,
@@ -36,10 +37,10 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError, SQLAlchemyError
 
 from fploc.errors import FplocError
-from fploc.serve.rows import DeviceRow, FixRow, WaitingRow
+from fploc.serve.rows import DeviceRow, FixRow, StateRow, WaitingRow
 from fploc.serve.session import Outcome
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 _metadata = MetaData()
 _DOUBLE = Float(53)
@@ -95,9 +96,17 @@ DEVICES = Table(
     Column("recording", String(64), nullable=False),
     Column("t_ms", _DOUBLE, nullable=False),
     Column("received_ms", _DOUBLE, nullable=False),
+    Column("fix", Text, nullable=False),
+)
+STATES = Table(
+    "fploc_states",
+    _metadata,
+    Column("site", String(64), primary_key=True),
+    Column("device", String(64), primary_key=True),
+    Column("track", Integer, nullable=False),
+    Column("t_ms", _DOUBLE, nullable=False),
     Column("layout", String(16), nullable=False),
     Column("state", LargeBinary, nullable=False),
-    Column("fix", Text, nullable=False),
 )
 _USED = delete(WAITING).where(
     WAITING.c.site == bindparam("used_site"),
@@ -143,13 +152,8 @@ class Store:
         insert_of = dialects[self._engine.dialect.name]
         self._add_waiting = insert_of(WAITING).on_conflict_do_nothing()
         self._add_fixes = insert_of(FIXES).on_conflict_do_nothing()
-        devices = insert_of(DEVICES)
-        values = {
-            column.name: devices.excluded[column.name] for column in DEVICES.c if not column.primary_key
-        }
-        self._set_devices = devices.on_conflict_do_update(
-            index_elements=[DEVICES.c.site, DEVICES.c.device], set_=values
-        )
+        self._set_devices = _replacing(insert_of(DEVICES))
+        self._set_states = _replacing(insert_of(STATES))
         try:
             _metadata.create_all(self._engine)
             self._check_format()
@@ -185,9 +189,10 @@ class Store:
     def write(self, received: Sequence[WaitingRow], outcomes: Sequence[Outcome]) -> None:
         """Store what came in, then what was made of it, in one transaction.
 
-        Reading sets that a device's state has seen stop waiting in the same transaction as the state is stored.
+        Reading sets that a device's state has seen are dropped in the same transaction as the state is stored.
         """
         latest = {(row.site, row.device): row for one in outcomes for row in one.devices}
+        states = {(row.site, row.device): row for one in outcomes for row in one.states}
         fixes = [vars(fix) for one in outcomes for fix in one.fixes]
         with self._engine.begin() as connection:
             if received:
@@ -196,7 +201,9 @@ class Store:
                 connection.execute(self._add_fixes, fixes)
             if latest:
                 connection.execute(self._set_devices, [vars(row) for row in latest.values()])
-                connection.execute(_USED, [_used(row) for row in latest.values()])
+            if states:
+                connection.execute(self._set_states, [vars(row) for row in states.values()])
+                connection.execute(_USED, [_used(row) for row in states.values()])
 
     def followed(self, site: str, since_ms: float) -> list[str]:
         """Return the devices of a site that sent something since then, or that have something waiting."""
@@ -209,19 +216,25 @@ class Store:
             ).scalars()
             return sorted({*recent, *waiting})
 
-    def device(self, site: str, device: str) -> tuple[DeviceRow | None, list[WaitingRow]]:
-        """Return the state of a device, None where it has none, and what of it waits, in order."""
+    def device(self, site: str, device: str) -> tuple[DeviceRow | None, StateRow | None, list[WaitingRow]]:
+        """Return how far a device has come and a state of it, None where it has none, and what came after that."""
         with self._engine.connect() as connection:
-            state = connection.execute(
+            known = connection.execute(
                 select(DEVICES).where(DEVICES.c.site == site, DEVICES.c.device == device)
+            ).one_or_none()
+            state = connection.execute(
+                select(STATES).where(STATES.c.site == site, STATES.c.device == device)
             ).one_or_none()
             waiting = connection.execute(
                 select(WAITING)
                 .where(WAITING.c.site == site, WAITING.c.device == device)
                 .order_by(WAITING.c.track, WAITING.c.t_ms)
             ).all()
-        row = None if state is None else DeviceRow(**_values(state))
-        return row, [WaitingRow(**_values(one)) for one in waiting]
+        return (
+            None if known is None else DeviceRow(**_values(known)),
+            None if state is None else StateRow(**_values(state)),
+            [WaitingRow(**_values(one)) for one in waiting],
+        )
 
     def track(self, site: str, device: str, from_ms: float, to_ms: float, most: int) -> list[FixRow]:
         """Return fixes of a device, device time from ``from_ms`` up to ``to_ms``, oldest first."""
@@ -241,20 +254,23 @@ class Store:
 
     def is_known(self, site: str, device: str) -> bool:
         """Return whether anything of a device is stored."""
-        row, waiting = self.device(site, device)
+        row, _, waiting = self.device(site, device)
         return row is not None or bool(waiting)
 
     def forget_device(self, site: str, device: str) -> None:
         """Delete all that is stored of a device."""
         with self._engine.begin() as connection:
-            for table in (WAITING, FIXES, DEVICES):
+            for table in (WAITING, FIXES, DEVICES, STATES):
                 connection.execute(delete(table).where(table.c.site == site, table.c.device == device))
 
     def forget_fixes(self, before_ms: float) -> None:
         """Delete fixes whose readings came in before then, and devices silent since."""
         with self._engine.begin() as connection:
             connection.execute(delete(FIXES).where(FIXES.c.received_ms < before_ms))
-            connection.execute(delete(DEVICES).where(DEVICES.c.received_ms < before_ms))
+            is_old = DEVICES.c.received_ms < before_ms
+            its_own = (DEVICES.c.site == STATES.c.site) & (DEVICES.c.device == STATES.c.device)
+            connection.execute(delete(STATES).where(exists().where(its_own & is_old)))
+            connection.execute(delete(DEVICES).where(is_old))
 
     def add_token(self, token: TokenRow) -> None:
         """Store a token."""
@@ -280,6 +296,13 @@ class Store:
         with self._engine.begin() as connection:
             done = connection.execute(update(TOKENS).where(TOKENS.c.id == token_id).values(expires_ms=now_ms))
             return done.rowcount > 0
+
+
+def _replacing(adding: Any) -> Any:
+    """Return an insertion of a device's row that takes the place of the one before."""
+    table = adding.table
+    values = {column.name: adding.excluded[column.name] for column in table.c if not column.primary_key}
+    return adding.on_conflict_do_update(index_elements=[table.c.site, table.c.device], set_=values)
 
 
 def _engine(url: str) -> Engine:
@@ -321,7 +344,7 @@ def _values(row: Row[Any]) -> dict[str, Any]:
     return dict(row._mapping)
 
 
-def _used(row: DeviceRow) -> dict[str, object]:
+def _used(row: StateRow) -> dict[str, object]:
     return {
         "used_site": row.site,
         "used_device": row.device,

@@ -23,7 +23,7 @@ def rows(text: str) -> list[list[str]]:
 def test_a_page_without_anything_has_every_section_and_says_what_was_not_run() -> None:
     page = results_page([], {})
     titles = re.findall(r"^## (.+)$", page, re.MULTILINE)
-    assert len(titles) == len(set(titles)) == 18
+    assert len(titles) == len(set(titles)) == 19
     for title in (
         "Stage by stage",
         "What the plan is worth",
@@ -132,6 +132,11 @@ def test_facts_stand_in_their_tables() -> None:
     ] in rows(sure)  # fmt: skip
     assert ["shopping-mall", "1", "nls", "bayes-grid"] in [row[:4] for row in rows(sure)]
     assert ["nls", "1", "64", "0.012", "0.034"] in rows(section(page, "Time of a fix"))
+    load = section(page, "The server under load")
+    assert ["nls", "100", "99.8 %", "24", "90", "121", "0.999"] in rows(load)
+    assert (
+        "[load.md](load.md)" in load and "up to this many phones: 0 with `default`, 100 with `nls`." in load
+    )
     assert ["shopping-mall", "1", "nls", "4", "0.95", "0.96", "0.84 to 1.02"] in rows(sure)
     assert "seen" not in {row[0] for row in rows(sure)}
     assert ["gnn", "5,282", "187,904", "2.39", "1,381", "2,704"] in rows(section(page, "Complexity"))
@@ -162,6 +167,10 @@ STATISTICS = dict.fromkeys(
     ),
     0.5,
 )  # fmt: skip
+LOADED = {
+    "method": "nls", "devices": 100, "within_200_ms": 0.998, "latency_p50_ms": 24.2, "latency_p99_ms": 90.4,
+    "age_p50_ms": 121.0, "accepted_fairness": 0.9991,
+}  # fmt: skip
 FACTS: dict[str, Any] = {
     "chain_stages": [
         STAGE,
@@ -171,6 +180,11 @@ FACTS: dict[str, Any] = {
     "differences": [DIFFERENCE, DIFFERENCE | {"protocol": "seen", "site": "seen"}],
     "against_best": [DIFFERENCE | {"base": "bayes-grid"}],
     "timings": [{"method": "nls", "threads": 1, "batch": 64, "median_ms": 0.012, "p90_ms": 0.034}],
+    "load_curve": [
+        LOADED,
+        LOADED | {"devices": 200, "within_200_ms": 0.5},
+        LOADED | {"method": "default", "within_200_ms": 0.98, "accepted_fairness": None},
+    ],
     "recordings": [RECORDING, RECORDING | {"protocol": "seen", "site": "seen"}],
     "complexity": [
         {

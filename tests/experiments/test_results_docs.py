@@ -50,6 +50,17 @@ def test_runs_are_joined_and_costs_say_whose_they_are(made: MakeRecord, tmp_path
     assert facts["virtual_rates"] == {"generator on office, threads: 1": 5000.0}
 
 
+def test_the_page_shows_the_load_that_was_measured(made: MakeRecord, tmp_path: Path) -> None:
+    finished(made, tmp_path, "full", {"training_cost": [], "ablations": {}})
+    without = update_docs(tmp_path, tmp_path).read_text(encoding="utf-8")
+    committed = Path(__file__).parents[2] / "docs" / "load.json"
+    (tmp_path / "load.json").write_bytes(committed.read_bytes())
+    shown = page_of(tmp_path)
+    for row in json.loads(committed.read_text(encoding="utf-8"))["curve"]:
+        line = f"| {row['method']} | {row['devices']} |"
+        assert line in shown and line not in without
+
+
 def test_a_missing_run_names_the_command_that_makes_it(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="fploc reproduce --preset full"):
         update_docs(tmp_path, tmp_path)

@@ -67,7 +67,13 @@ def recordings() -> list[Recording]:
 @pytest.fixture(scope="session")
 def settings() -> ServeSettings:
     """Return settings that never hold uploads back, however busy the machine is."""
-    return replace(ServeSettings.read("default"), requests_per_s=1e6, request_burst=1_000_000, late_share=1e6)
+    return replace(
+        ServeSettings.read("default"),
+        requests_per_s=1e6,
+        request_burst=1_000_000,
+        late_share=1e6,
+        waiting_share=1e6,
+    )
 
 
 @pytest.fixture(scope="session")
@@ -87,7 +93,7 @@ def served(localizer: Localizer) -> ServedSite:
         height_px=190,
         metres_from_pixels=georeference.metres_from_pixels.tolist(),
     )
-    return ServedSite(localizer, place, encoded.tobytes())
+    return ServedSite(localizer, place, encoded.tobytes(), 0.5)
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from fploc.serve.app import CLOSED_FORBIDDEN, CLOSED_UNAUTHORIZED, CLOSED_UNKNOW
 from fploc.serve.guard import HEADERS
 from fploc.serve.messages import Measurements, Positions
 from fploc.serve.recorded import recorded_intervals
+from fploc.serve.server import announcement, listening_socket
 from fploc.serve.settings import ServeSettings
 from fploc.serve.site_service import ServedSite
 from fploc.serve.store import Store
@@ -82,9 +83,17 @@ def test_what_a_phone_sends_comes_out_as_position_and_track(
 def test_the_site_and_its_plan(client: TestClient, reader: dict[str, str]) -> None:
     site = client.get("/v1/sites/box/site", headers=reader).json()
     assert [ap["name"] for ap in site["access_points"]] == ["AP0", "AP1", "AP2", "AP3"]
+    assert site["speed_prior_mps"] == 0.5
     picture = client.get(site["plan"]["url"], headers=reader)
     assert picture.headers["content-type"] == "image/png" and picture.content[:4] == b"\x89PNG"
     assert client.get("/v1/sites", headers=reader).json() == ["box"]
+
+
+def test_the_first_line_says_what_is_served_and_who_can_reach_it(served: ServedSite) -> None:
+    with listening_socket("127.0.0.1", 0) as listening:
+        line = announcement([replace(served, speed_prior_mps=1.4)], listening)
+    assert "box with nls-onesided for people at 1.4 m/s on http://127.0.0.1:" in line
+    assert "only this machine can reach it" in line
 
 
 def test_live_connections_get_the_newest_and_go_quietly(

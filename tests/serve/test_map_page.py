@@ -154,6 +154,7 @@ def test_dots_stand_where_they_should_and_a_lost_connection_mends_itself(
         page.get_by_role("button", name="a ").first.press("Enter")
         page.wait_for_selector("#panel-readings tr")
         assert "95 % ellipse" in page.inner_text("#panel-values")
+        assert "nls-onesided, for people at 0.5 m/s" in page.inner_text("#panel-values")
         shoot(page, "map-light")
         page.emulate_media(color_scheme="dark")
         wait_for_shade(page, [1.0, SIZE["height"] / 2], lambda red, _: red < 120, "the ground is dark")

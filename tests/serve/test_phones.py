@@ -80,7 +80,7 @@ def test_walks_arrive_in_order_and_whole(
     # Where an answer comes too late, a phone sends again: what was stored already counts as a duplicate.
     arrived = [one.outcomes["accepted"] + one.outcomes["duplicate"] for one in sent]
     assert arrived == [len(walk.intervals) for walk in walks]
-    waiting = store.device("box", "phone-0")[1]
+    waiting = store.device("box", "phone-0")[2]
     used = store.track("box", "phone-0", 0.0, 1e9, 1000)
     assert len({row.t_ms for row in waiting} | {fix.t_ms for fix in used}) == len(walks[0].intervals)
 

@@ -16,8 +16,8 @@ from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.registry import GEOMETRIC_METHODS, default_calibration, geometric_method
 from fploc.serve.messages import Interval, Measurements, Position, Reading
 from fploc.serve.recorded import recorded_intervals
-from fploc.serve.rows import FixRow, WaitingRow
-from fploc.serve.session import SiteSession
+from fploc.serve.rows import DeviceRow, FixRow, StateRow, WaitingRow
+from fploc.serve.session import Outcome, SiteSession
 from fploc.serve.settings import ServeSettings
 from fploc.shipped import shipped_localizer
 from fploc.sites.site import Site
@@ -34,7 +34,7 @@ def message(device: str, *t_ms: float, recording: str = "") -> Measurements:
 
 def follow(session: SiteSession, *devices: str) -> None:
     for device in devices:
-        session.restore(None, [], device)
+        session.restore(None, None, [], device)
 
 
 def streamed(
@@ -168,23 +168,79 @@ def test_another_recording_starts_from_nothing(
     assert found[len(first) :] == expected
 
 
+class Stored:
+    """What a store would hold of one device."""
+
+    def __init__(self) -> None:
+        self.device: DeviceRow | None = None
+        self.state: StateRow | None = None
+        self.waiting: list[WaitingRow] = []
+
+    def write(self, rows: Sequence[WaitingRow], outcomes: Sequence[Outcome]) -> None:
+        self.waiting += rows
+        for outcome in outcomes:
+            self.device = outcome.devices[-1] if outcome.devices else self.device
+            for state in outcome.states:
+                self.state = state
+                seen = state.track, state.t_ms
+                self.waiting = [row for row in self.waiting if (row.track, row.t_ms) > seen]
+
+
+@pytest.mark.parametrize("every", [1, 4, 100])
+@pytest.mark.parametrize("method", ["nls-onesided", "default"])
 def test_a_session_goes_on_from_what_was_stored(
-    recordings: list[Recording], localizer: Localizer, settings: ServeSettings
+    method: str, every: int, recordings: list[Recording], localizer: Localizer, settings: ServeSettings
 ) -> None:
+    served = shipped_localizer(localizer.site, None) if method == "default" else localizer
+    seldom = replace(settings, store_states_every=every)
     intervals = recorded_intervals(recordings[0], localizer.site)
-    whole, before, restored = (SiteSession(localizer, settings) for _ in range(3))
+    whole, before, restored = (SiteSession(served, seldom) for _ in range(3))
     follow(whole, "a")
     follow(before, "a")
     whole.ingest(Measurements(device="a", intervals=intervals), 0.0)
     expected = [fix for outcome in whole.tick() for fix in outcome.fixes]
-    rows: list[WaitingRow] = []
-    rows += before.ingest(Measurements(device="a", intervals=intervals[:10]), 0.0).rows
-    done = before.tick()
-    rows = before.ingest(Measurements(device="a", intervals=intervals[10:15]), 0.0).rows
-    restored.restore(done[-1].devices[0], rows, "a")
-    restored.ingest(Measurements(device="a", intervals=intervals[13:]), 0.0)
+    stored = Stored()
+    stored.write(before.ingest(Measurements(device="a", intervals=intervals[:10]), 0.0).rows, before.tick())
+    # It ends with these waiting.
+    stored.write(before.ingest(Measurements(device="a", intervals=intervals[10:15]), 0.0).rows, [])
+    assert len(stored.waiting) == 5 + 10 % every
+    restored.restore(stored.device, stored.state, stored.waiting, "a")
+    verdicts = restored.ingest(Measurements(device="a", intervals=intervals[13:]), 0.0).verdicts
+    assert verdicts == {"duplicate": 2, "accepted": len(intervals) - 15}
     found = [fix for outcome in restored.tick() for fix in outcome.fixes]
-    assert found == expected[10:]
+    assert found == expected[10 - 10 % every :]
+
+
+def test_after_a_restart_what_was_late_stays_late(localizer: Localizer, settings: ServeSettings) -> None:
+    first, second = (SiteSession(localizer, replace(settings, store_states_every=100)) for _ in range(2))
+    follow(first, "a")
+    stored = Stored()
+    stored.write(first.ingest(message("a", 1000.0, 1200.0, 1400.0), 0.0).rows, first.tick())
+    second.restore(stored.device, stored.state, stored.waiting, "a")
+    verdicts = second.ingest(message("a", 1100.0, 1200.0, 1300.0, 1600.0), 0.0).verdicts
+    assert verdicts == {"late": 2, "duplicate": 1, "accepted": 1}
+    outcomes = second.tick()
+    assert [fix.t_ms for outcome in outcomes for fix in outcome.fixes] == [1000.0, 1200.0, 1400.0, 1600.0]
+    # The place that a device had reached goes back by no restart.
+    assert [row.t_ms for outcome in outcomes for row in outcome.devices] == [1400.0, 1400.0, 1400.0, 1600.0]
+
+
+def test_states_are_stored_now_and_then_and_when_nobody_follows_any_more(
+    localizer: Localizer, settings: ServeSettings
+) -> None:
+    session = SiteSession(localizer, replace(settings, store_states_every=3))
+    follow(session, "a", "b")
+    for name in ("a", "b"):
+        session.ingest(message(name, 1.0, 2.0, 3.0, 4.0), 0.0)
+    stored = [[(row.device, row.t_ms) for row in outcome.states] for outcome in session.tick()]
+    # The second slot is stored one interval earlier: states of many devices are not stored all at once.
+    assert stored == [[], [("b", 2.0)], [("a", 3.0)], []]
+    left = [(row.device, row.t_ms) for row in session.unstored().states]
+    assert left == [("a", 4.0), ("b", 4.0)] and session.unstored().states == []
+    session.ingest(message("b", 5.0), 0.0)
+    session.tick()
+    gone = session.forget_silent(settings.forget_ms + 1.0)
+    assert [(row.device, row.t_ms) for row in gone.states] == [("b", 5.0)] and not session.devices
 
 
 def test_devices_share_the_queue_alike(localizer: Localizer, settings: ServeSettings) -> None:
@@ -230,8 +286,10 @@ def test_slots_grow_and_are_given_back(localizer: Localizer, settings: ServeSett
     (outcome,) = session.tick()
     assert {fix.device for fix in outcome.fixes} == set(names)
     assert len({(fix.x_m, fix.y_m) for fix in outcome.fixes}) == 1
-    assert session.forget_silent(settings.forget_ms) == []
-    assert session.forget_silent(settings.forget_ms + 1.0) == names
+    session.forget_silent(settings.forget_ms)
+    assert list(session.devices) == names
+    session.forget_silent(settings.forget_ms + 1.0)
+    assert not session.devices
     assert session.positions(0.0) == []
 
 

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy.exc import SQLAlchemyError
 
 from fploc.errors import FplocError, UnknownNameError
-from fploc.serve.rows import DeviceRow, FixRow, WaitingRow
+from fploc.serve.rows import DeviceRow, FixRow, StateRow, WaitingRow
 from fploc.serve.session import Outcome
 from fploc.serve.store import FORMAT, Store, TokenRow, sqlite_url
 from fploc.serve.tokens import DAY_MS, Scope, holder_of, make_token, scopes_of
@@ -26,7 +26,8 @@ WAITING = WaitingRow("mall", "a", 0, "", 1000.125, 5.0, '{"t_ms": 1000.125, "rea
 FIX = FixRow(
     "mall", "a", 0, "", 1000.125, 5.0, 0.1 + 0.2, -3.5, 1.0, 2.0, 0.25, "fixed", 4, "nls", None, None
 )
-DEVICE = DeviceRow("mall", "a", 0, "", 1000.125, 5.0, "layout", b"\x00\xff\x01", "{}")
+DEVICE = DeviceRow("mall", "a", 0, "", 1000.125, 5.0, "{}")
+STATE = StateRow("mall", "a", 0, 1000.125, "layout", b"\x00\xff\x01")
 
 
 @pytest.fixture(scope="module")
@@ -52,39 +53,43 @@ def test_what_waits_stops_waiting_when_the_state_has_seen_it(store: Store) -> No
     later = replace(WAITING, t_ms=1200.0)
     anew = replace(WAITING, track=1, t_ms=3.0)
     store.write([WAITING, later, anew, replace(WAITING, device="b")], [])
-    assert store.device("mall", "a") == (None, [WAITING, later, anew])
-    store.write([], [Outcome([FIX], [DEVICE])])
-    assert store.device("mall", "a") == (DEVICE, [later, anew])
+    assert store.device("mall", "a") == (None, None, [WAITING, later, anew])
+    store.write([], [Outcome([FIX], [DEVICE], [STATE])])
+    assert store.device("mall", "a") == (DEVICE, STATE, [later, anew])
     assert store.track("mall", "a", 0.0, 1e9, 10) == [FIX]
-    store.write([], [Outcome([], [replace(DEVICE, track=1, t_ms=3.0, state=b"")])])
-    assert store.device("mall", "a") == (replace(DEVICE, track=1, t_ms=3.0, state=b""), [])
-    assert store.device("mall", "b")[1] == [replace(WAITING, device="b")]
+    farther = replace(DEVICE, track=1, t_ms=3.0)
+    store.write([], [Outcome([], [farther], [])])
+    assert store.device("mall", "a") == (farther, STATE, [later, anew])
+    seen = replace(STATE, track=1, t_ms=3.0, state=b"")
+    store.write([], [Outcome([], [farther], [seen])])
+    assert store.device("mall", "a") == (farther, seen, [])
+    assert store.device("mall", "b")[2] == [replace(WAITING, device="b")]
 
 
 def test_writing_again_changes_nothing(store: Store) -> None:
     for _ in range(2):
         store.write([WAITING], [])
-        store.write([], [Outcome([FIX], [DEVICE])])
+        store.write([], [Outcome([FIX], [DEVICE], [STATE])])
     assert store.track("mall", "a", 0.0, 1e9, 10) == [FIX]
-    assert store.device("mall", "a") == (DEVICE, [])
+    assert store.device("mall", "a") == (DEVICE, STATE, [])
 
 
 def test_a_track_is_cut_by_time_and_by_number(store: Store) -> None:
     fixes = [replace(FIX, t_ms=float(t), x_m=None, reason="no_reading") for t in range(5)]
-    store.write([], [Outcome(fixes[::-1], [DEVICE])])
+    store.write([], [Outcome(fixes[::-1], [DEVICE], [STATE])])
     assert store.track("mall", "a", 1.0, 3.0, 10) == fixes[1:4]
     assert store.track("mall", "a", 0.0, 9.0, 2) == fixes[:2]
     assert store.track("mall", "b", 0.0, 9.0, 2) == []
 
 
 def test_silent_devices_are_not_followed_but_kept_until_they_are_old(store: Store) -> None:
-    store.write([replace(WAITING, device="b")], [Outcome([FIX], [DEVICE])])
+    store.write([replace(WAITING, device="b")], [Outcome([FIX], [DEVICE], [STATE])])
     assert store.followed("mall", 5.0) == ["a", "b"]
     assert store.followed("mall", 5.1) == ["b"]
     store.forget_fixes(5.0)
     assert store.is_known("mall", "a")
     store.forget_fixes(5.1)
-    assert not store.is_known("mall", "a") and store.is_known("mall", "b")
+    assert store.device("mall", "a") == (None, None, []) and store.is_known("mall", "b")
     store.forget_device("mall", "b")
     assert store.followed("mall", 0.0) == []
 
@@ -124,10 +129,10 @@ def test_the_writer_commits_in_order_and_tells_when(tmp_path: Path) -> None:
     store = Store(sqlite_url(tmp_path))
     writer = StoreWriter(store)
     waits = [writer.write([replace(WAITING, t_ms=float(t))], []) for t in range(50)]
-    last = writer.write([], [Outcome([FIX], [replace(DEVICE, t_ms=48.0)])])
+    last = writer.write([], [Outcome([FIX], [DEVICE], [replace(STATE, t_ms=48.0)])])
     last.result(timeout=30)
     assert all(wait.done() for wait in waits)
-    assert [row.t_ms for row in store.device("mall", "a")[1]] == [49.0]
+    assert [row.t_ms for row in store.device("mall", "a")[2]] == [49.0]
     writer.close()
 
 

@@ -336,7 +336,7 @@ function updatePanel() {
     ["latest reading set", REASONS[now.reason] ?? now.reason],
     ["age of the fix", now.age_ms === null ? "none" : `${(now.age_ms / 1000).toFixed(1)} s`],
     ["access points", String(now.access_points)],
-    ["method", now.method],
+    ["method", `${now.method}, for people at ${site.speed_prior_mps} m/s`],
     ["recording", now.recording || "none"],
   ];
   if (now.truth_x_m !== null && now.x_m !== null) {
