@@ -43,7 +43,6 @@ from fploc.localizer import (
     Track,
     all_intervals,
     chunks,
-    filtered_in_turn,
     flat,
     joined,
     path_of,
@@ -222,7 +221,7 @@ def joint_tracks(
             case OneShotMethod():
                 found = _chained(method, site, batch, [pair.own.recording for pair in pairs], settings)
         located = time.perf_counter()
-        filtered = filtered_in_turn(tracker, batch.own, found)
+        filtered = tracker.run(batch.own.t_s, batch.own.present, found)
         ended = time.perf_counter()
     count = int(batch.own.present.sum()) / 1000.0
     return [

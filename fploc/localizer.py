@@ -182,7 +182,7 @@ def localize(
         started = time.perf_counter()
         found = _locate(localizer, intervals)
         located = time.perf_counter()
-        filtered = None if localizer.filter is None else filtered_in_turn(localizer.filter, intervals, found)
+        filtered = None if localizer.filter is None else localizer.filter.run(intervals.t_s, intervals.present, found)
         smoothed = time.perf_counter()
     tracks = []
     for index, recording in enumerate(recordings):
@@ -250,7 +250,7 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
     steps, devices = intervals.t_s.shape
     coarse = localizer.with_method(method.coarse)
     found = _locate_together(coarse, intervals)
-    smoothed = filtered_in_turn(method.filter, intervals, found)
+    smoothed = method.filter.run(intervals.t_s, intervals.present, found)
     access_points = method.coarse.init(localizer.site, devices)
     rows = flat(intervals)
     coarse_rows = Estimate(
@@ -330,17 +330,6 @@ def _locate_in_turn(localizer: Localizer, intervals: Intervals) -> Estimate:
         state, one = localizer.locate(state, rows_at(intervals, step))
         found.append(one)
     return stacked(found)
-
-
-def filtered_in_turn(tracker: BatchedFilter, intervals: Intervals, found: Estimate) -> Estimate:
-    """Step a filter through time over estimates; shapes (T, B, …)."""
-    tracks = tracker.init(intervals.t_s.shape[1], device=intervals.t_s.device)
-    filtered = []
-    for step in range(len(intervals.t_s)):
-        fixes = Estimate(found.positions[step], found.covariances[step], found.reasons[step])
-        tracks, one = tracker.step(tracks, intervals.t_s[step], intervals.present[step], fixes)
-        filtered.append(one)
-    return stacked(filtered)
 
 
 def stacked(estimates: Sequence[Estimate]) -> Estimate:
