@@ -182,7 +182,11 @@ def localize(
         started = time.perf_counter()
         found = _locate(localizer, intervals)
         located = time.perf_counter()
-        filtered = None if localizer.filter is None else localizer.filter.run(intervals.t_s, intervals.present, found)
+        filtered = (
+            None
+            if localizer.filter is None
+            else localizer.filter.run(intervals.t_s, intervals.present, found)
+        )
         smoothed = time.perf_counter()
     tracks = []
     for index, recording in enumerate(recordings):

@@ -209,7 +209,9 @@ class Reproduction:
         run: Callable[[], None],
     ) -> Stage:
         hashes = [self.packed[site].manifest_hash for site in sites]
-        return Stage(name=name, inputs=[self._fingerprints[ablation], *hashes], outputs=outputs, after=after, run=run)
+        return Stage(
+            name=name, inputs=[self._fingerprints[ablation], *hashes], outputs=outputs, after=after, run=run
+        )
 
     @cached_property
     def _fingerprints(self) -> dict[str, str]:

@@ -221,7 +221,9 @@ class BatchedFilter:
         now = torch.maximum(t_s.double(), times[:-1])
         fixed_times = torch.cat([state.fixed_t_s[None], torch.where(fixed, now, 0.0)]).cummax(0).values
         before = (times[:-1].flatten(), fixed_times[:-1].flatten(), started[:-1].flatten())
-        rows = Estimate(fixes.positions.flatten(0, 1), fixes.covariances.flatten(0, 1), fixes.reasons.flatten())
+        rows = Estimate(
+            fixes.positions.flatten(0, 1), fixes.covariances.flatten(0, 1), fixes.reasons.flatten()
+        )
         moves = self._moves(t_s.flatten(), present.flatten(), rows, before)
         all_update = moves.updates.reshape(steps, devices).all(-1).tolist()
         means, covariances, found = state.means, state.covariances, []
