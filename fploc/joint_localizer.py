@@ -43,11 +43,9 @@ from fploc.localizer import (
     Track,
     all_intervals,
     chunks,
-    filtered_in_turn,
     flat,
     joined,
     path_of,
-    rows_at,
 )
 from fploc.methods.chained import Companion, chained
 from fploc.methods.gnn import GNNMethod
@@ -221,7 +219,7 @@ def joint_tracks(
             case OneShotMethod():
                 found = _chained(method, site, batch, [pair.own.recording for pair in pairs], settings)
         located = time.perf_counter()
-        filtered = filtered_in_turn(tracker, batch.own, found)
+        filtered = tracker.run(batch.own.t_s, batch.own.present, found)
         ended = time.perf_counter()
     count = int(batch.own.present.sum()) / 1000.0
     return [
@@ -376,7 +374,7 @@ def _ranged(
     for step in range(steps):
         shown = Estimate(fixes.positions[step], fixes.covariances[step], fixes.reasons[step])
         further = _further_ranges(
-            rows_at(own, step), batch.companion_at(step), access_points, is_free[step], settings
+            own.at(step), batch.companion_at(step), access_points, is_free[step], settings
         )
         state, one = tracker.step(state, own.t_s[step], own.present[step], shown, further)
         filtered.append(one)
@@ -411,7 +409,7 @@ def _gnn(method: GNNMethod, site: Site, batch: _Batch) -> Estimate:
     state = method.init(site, steps * devices)
     found = []
     for at in chunks(steps * devices, ROWS_AT_ONCE):
-        mine, theirs = rows_at(own, at), rows_at(other, at)
+        mine, theirs = own.at(at), other.at(at)
         number = len(mine.t_s)
         (row,) = torch.nonzero(mine.present & theirs.present, as_tuple=True)
         there = torch.stack([row, row + number])
@@ -429,7 +427,7 @@ def _gnn_alone(method: Method, site: Site, batch: _Batch) -> Estimate:
     """Return the GNN's fixes of each device alone, shape (T, B, …)."""
     steps, devices = batch.shape
     rows, state = flat(batch.own), method.init(site, steps * devices)
-    found = [method.step(state, rows_at(rows, at))[1] for at in chunks(steps * devices, ROWS_AT_ONCE)]
+    found = [method.step(state, rows.at(at))[1] for at in chunks(steps * devices, ROWS_AT_ONCE)]
     return joined(found, steps, devices)
 
 
@@ -460,7 +458,7 @@ def _gnn_fpdnn(method: GNNFPDNN, site: Site, batch: _Batch, settings: DeviceLink
         )
         refined.append(
             method.refine_beside(
-                access_points, rows_at(rows, at), smooth, batch.companion.at(at), loss=settings.loss
+                access_points, rows.at(at), smooth, batch.companion.at(at), loss=settings.loss
             )
         )
     return joined(refined, steps, devices)
@@ -479,7 +477,7 @@ def _chained(
     companion = replace(batch.companion, there=batch.companion.there & follows)
     rows, state = flat(batch.own), method.init(site, devices)
     found = [
-        chained(method, state, rows_at(rows, at), companion.at(at), range_sd_m=settings.range_sd_m)
+        chained(method, state, rows.at(at), companion.at(at), range_sd_m=settings.range_sd_m)
         for at in chunks(steps * devices, ROWS_AT_ONCE)
     ]
     return joined(found, steps, devices)

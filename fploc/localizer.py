@@ -183,7 +183,11 @@ def localize(
         started = time.perf_counter()
         found = _locate(localizer, intervals)
         located = time.perf_counter()
-        filtered = None if localizer.filter is None else filtered_in_turn(localizer.filter, intervals, found)
+        filtered = (
+            None
+            if localizer.filter is None
+            else localizer.filter.run(intervals.t_s, intervals.present, found)
+        )
         done = time.perf_counter()
     tracks = []
     for index, recording in enumerate(recordings):
@@ -261,18 +265,6 @@ def all_intervals(
     )
 
 
-def rows_at(intervals: Intervals, at: slice | int) -> Intervals:
-    """Return the intervals at an index or slice of the first axis."""
-    return Intervals(
-        t_s=intervals.t_s[at],
-        ranges=intervals.ranges[at],
-        stds=intervals.stds[at],
-        rss=intervals.rss[at],
-        heard=intervals.heard[at],
-        present=intervals.present[at],
-    )
-
-
 def _locate(localizer: Localizer, intervals: Intervals) -> Estimate:
     """Run the method over all intervals, many at once where it allows that; estimates have shape (T, B, …)."""
     method = localizer.method
@@ -290,7 +282,7 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
     steps, devices = intervals.t_s.shape
     coarse = localizer.with_method(method.coarse)
     found = _locate_together(coarse, intervals)
-    smoothed = filtered_in_turn(method.filter, intervals, found)
+    smoothed = method.filter.run(intervals.t_s, intervals.present, found)
     access_points = method.coarse.init(localizer.site, devices)
     rows = flat(intervals)
     coarse_rows = Estimate(
@@ -303,7 +295,7 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
         coarse_chunk = Estimate(
             coarse_rows.positions[at], coarse_rows.covariances[at], coarse_rows.reasons[at]
         )
-        refined.append(method.refine(access_points, rows_at(rows, at), coarse_chunk))
+        refined.append(method.refine(access_points, rows.at(at), coarse_chunk))
     return joined(refined, steps, devices)
 
 
@@ -313,7 +305,7 @@ def _solve_together(localizer: Localizer, method: Solving, intervals: Intervals)
     state = method.init(localizer.site, devices)
     followed = []
     for step in range(steps):
-        state, one = method.follow(state, rows_at(intervals, step))
+        state, one = method.follow(state, intervals.at(step))
         followed.append(one)
     rows = {
         field.name: torch.cat([getattr(one, field.name) for one in followed]) for field in fields(followed[0])
@@ -331,7 +323,7 @@ def _locate_together(localizer: Localizer, intervals: Intervals) -> Estimate:
     rows = flat(intervals)
     found = []
     for at in chunks(steps * devices, ROWS_AT_ONCE):
-        chunk = rows_at(rows, at)
+        chunk = rows.at(at)
         found.append(localizer.locate(localizer.init(len(chunk.t_s)), chunk)[1])
     return joined(found, steps, devices)
 
@@ -367,20 +359,9 @@ def _locate_in_turn(localizer: Localizer, intervals: Intervals) -> Estimate:
     state = localizer.init(intervals.t_s.shape[1])
     found = []
     for step in track(range(len(intervals.t_s)), localizer.method.name):
-        state, one = localizer.locate(state, rows_at(intervals, step))
+        state, one = localizer.locate(state, intervals.at(step))
         found.append(one)
     return stacked(found)
-
-
-def filtered_in_turn(tracker: BatchedFilter, intervals: Intervals, found: Estimate) -> Estimate:
-    """Step a filter through time over estimates; shapes (T, B, …)."""
-    tracks = tracker.init(intervals.t_s.shape[1], device=intervals.t_s.device)
-    filtered = []
-    for step in range(len(intervals.t_s)):
-        fixes = Estimate(found.positions[step], found.covariances[step], found.reasons[step])
-        tracks, one = tracker.step(tracks, intervals.t_s[step], intervals.present[step], fixes)
-        filtered.append(one)
-    return stacked(filtered)
 
 
 def path_of(found: Estimate, index: int, length: int, *, ms_per_fix: float) -> Path:

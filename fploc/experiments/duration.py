@@ -37,8 +37,8 @@ def training_steps(preset: Preset, chains: Sequence[Learning]) -> dict[str, int]
 
 
 def virtual_draws(preset: Preset, chains: Sequence[Learning]) -> int:
-    """Return how many virtual batches the generator draws in all trainings of a preset."""
-    return preset.pool_batches * len(chains)
+    """Return how many virtual batches the generator draws: chains of one target and seed share them."""
+    return preset.pool_batches * len({(one.target, one.seed) for one in chains})
 
 
 def estimate_seconds(

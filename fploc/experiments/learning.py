@@ -9,6 +9,7 @@ from pathlib import Path
 from datamodules.first_part import FirstPartDataModule
 from datamodules.measured import MeasuredDataModule
 from datamodules.pooled import PooledDataModule
+from datamodules.synthetic import SyntheticDataModule
 from fploc.artifacts import Artifact, ArtifactKey, load_artifact, offsets_of
 from fploc.datasets.packed import PackedSite
 from fploc.datasets.recordings import Recording
@@ -64,6 +65,7 @@ class Learner:
         self.artifacts = artifacts_folder(runs)
         self.offsets_file = offsets_file
         self.folder = folder
+        self._drawn: dict[tuple[str, int], SyntheticDataModule] = {}
 
     def source_data(self, offsets_file: Path | None) -> MeasuredDataModule:
         """Return the source's recordings, ready; offsets are fitted anew where no file is given."""
@@ -82,6 +84,7 @@ class Learner:
 
     def train_generator(self, seed: int, loggers: Loggers) -> None:
         """Train the generator on the source's recordings."""
+        self._drawn.clear()
         generator, metrics = train_generator(
             self.preset, self.measured, seed, loggers=loggers, folder=self.folder
         )
@@ -226,13 +229,23 @@ class Learner:
         return TrainingData(streams, validating.val_dataloader(), validating.offsets, _names(recordings))
 
     def _virtual(self, learning: Learning, preset: Preset) -> Mapping[str, object]:
-        """Return the stream of a target's virtual site, made by the generator of the source."""
+        """Return the stream of a target's virtual site, drawn once for all chains of a seed that learn from it.
+
+        No ablation changes the generator or what is drawn with it.
+        """
+        drawn = (learning.target, learning.seed)
+        if drawn not in self._drawn:
+            self._drawn[drawn] = self._synthetic(learning, preset)
+        return self._drawn[drawn].train_dataloader()
+
+    def _synthetic(self, learning: Learning, preset: Preset) -> SyntheticDataModule:
+        """Return intervals of a target's virtual site, made by the generator of the source."""
         artifact = self._load(GENERATOR, Learning(SEEN, self.source, learning.seed))
         generator = artifact.networks[GENERATOR]
         assert isinstance(generator, Generator)
         dropout = Dropout(tuple(artifact.constants["heard_shares"]))
         site = virtual_site(self.packed[learning.target], generator, dropout, preset)
-        return synthetic_data(site, preset, learning.seed).train_dataloader()
+        return synthetic_data(site, preset, learning.seed)
 
     def _key(self, method: str, learning: Learning) -> ArtifactKey:
         name = self.preset.variant(learning.ablation).name

@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -107,14 +107,15 @@ class Reproduction:
     def stages(self) -> list[Stage]:
         """Return every stage in order."""
         generators = [self._generator_stage(seed) for seed in self.preset.seeds]
-        chains = [self._chain_stage(one) for one in self.learnings()]
+        chains = [self._chain_stage(one) for one in self.learnings]
         scorings = [self._scoring_stage(one) for one in self.scorings()]
         maps = [self._synthesis_stage(site) for site in self._synthesized()]
         work = [self._calibration_stage(), *generators, *chains, *maps, *scorings]
         return [*work, self._report_stage([*maps, *scorings])]
 
+    @cached_property
     def learnings(self) -> list[Learning]:
-        """Return every chain to train."""
+        """Every chain to train."""
         return list(learnings(self.preset, self.protocols, self.world.source))
 
     def scorings(self) -> list[Scoring]:
@@ -124,14 +125,14 @@ class Reproduction:
 
     def _calibration_stage(self) -> Stage:
         return self._stage(
-            self._calibration_name, self.preset, [self.world.source], [self.offsets_file], (), self._calibrate
+            self._calibration_name, "", [self.world.source], [self.offsets_file], (), self._calibrate
         )
 
     def _generator_stage(self, seed: int) -> Stage:
         source = self.world.source
         return self._stage(
             self._generator_name(seed),
-            self.preset,
+            "",
             [source],
             [self.learner.folder_of(GENERATOR, Learning(SEEN, source, seed))],
             [self._calibration_name],
@@ -142,7 +143,7 @@ class Reproduction:
         loggers = self._loggers(learning.protocol, learning.target, learning.seed, learning.ablation)
         return self._stage(
             learning.name,
-            self.preset.variant(learning.ablation),
+            learning.ablation,
             self.learner.sites_of(learning.protocol, learning.target),
             [self.learner.folder_of("gnn-fpdnn", learning)],
             [self._generator_name(learning.seed), *(one.name for one in self._needed(learning))],
@@ -160,7 +161,7 @@ class Reproduction:
             needed.append(replace(learning, protocol=start, target=target))
         if learning.ablation:
             needed.append(replace(learning, ablation=""))
-        known = self.learnings()
+        known = self.learnings
         return [one for one in needed if one in known]
 
     def _scoring_stage(self, scoring: Scoring) -> Stage:
@@ -172,7 +173,7 @@ class Reproduction:
         needed = trained if scoring.method in LEARNED_METHODS else self._calibration_name
         return self._stage(
             f"score--{scoring.name}",
-            self.preset.variant(scoring.ablation),
+            scoring.ablation,
             self.learner.sites_of(scoring.protocol, scoring.site),
             [file],
             [needed],
@@ -182,7 +183,7 @@ class Reproduction:
     def _synthesis_stage(self, site: str) -> Stage:
         return self._stage(
             f"synthesize--{site}",
-            self.preset,
+            "",
             list(dict.fromkeys([self.world.source, site])),
             [self._match_file(site)],
             [self._generator_name(self.preset.seeds[0])],
@@ -201,14 +202,21 @@ class Reproduction:
     def _stage(
         self,
         name: str,
-        preset: Preset,
+        ablation: str,
         sites: Sequence[str],
         outputs: Sequence[Path],
         after: Sequence[str],
         run: Callable[[], None],
     ) -> Stage:
         hashes = [self.packed[site].manifest_hash for site in sites]
-        return Stage(name=name, inputs=[preset.fingerprint, *hashes], outputs=outputs, after=after, run=run)
+        return Stage(
+            name=name, inputs=[self._fingerprints[ablation], *hashes], outputs=outputs, after=after, run=run
+        )
+
+    @cached_property
+    def _fingerprints(self) -> dict[str, str]:
+        """Fingerprint of the preset under each ablation; many stages share one, and each reads YAML."""
+        return {name: self.preset.variant(name).fingerprint for name in ("", *self.preset.ablations)}
 
     @property
     def _calibration_name(self) -> str:
@@ -396,7 +404,7 @@ def reproduce(
     reproduction = Reproduction.on(preset, world, targets, data_root, runs)
     book, stages = StageBook(reproduction.folder / STAGES), reproduction.stages()
     if any(stage.name.startswith(TRAINING) for stage in book.left(stages)):
-        announce_duration(preset, reproduction.learner.source_data(None), reproduction.learnings())
+        announce_duration(preset, reproduction.learner.source_data(None), reproduction.learnings)
     if workers == 1:
         book.run(stages)
     else:

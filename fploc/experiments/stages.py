@@ -126,7 +126,10 @@ class StageBook:
         running: dict[Future[float], Stage] = {}
         began, left = time.perf_counter(), len(waiting)
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_prepare_process)
+        threads = max(1, (os.cpu_count() or 1) // workers)
+        pool = ProcessPoolExecutor(
+            workers, mp_context=context, initializer=_prepare_process, initargs=(threads,)
+        )
         try:
             while waiting or running:
                 unfinished = set(waiting) | {stage.name for stage in running.values()}
@@ -207,8 +210,12 @@ def _timed(run_by_name: RunByName, name: str) -> float:
     return time.perf_counter() - started
 
 
-def _prepare_process() -> None:
-    """Keep progress bars of several processes from writing over each other, and idle ones from complaining."""
+def _prepare_process(threads: int) -> None:
+    """Keep processes from crowding each other's cores and progress bars, and idle ones from complaining.
+
+    Libraries of numbers are not imported yet: they read how many threads they may start when they are.
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", str(threads))
     hush_imports()
     os.environ["TTY_COMPATIBLE"] = "0"
     signal.signal(signal.SIGINT, signal.SIG_IGN)

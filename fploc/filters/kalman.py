@@ -16,7 +16,8 @@ Axes: B devices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -124,6 +125,38 @@ class KalmanState:
     started: Tensor
 
 
+@dataclass(frozen=True)
+class _Moves:
+    """What intervals do to tracks, wherever these are.
+
+    Args:
+        now: Time after the interval, shape (B,), seconds.
+        flow: F, shape (B, 4, 4).
+        drift: Q, shape (B, 4, 4).
+        measured: The fix, shape (B, 2), metres; 0 where there is none.
+        alone: R of a fix that stands alone, shape (B, 2, 2), square metres.
+        noise: R among the fixes before it, shape (B, 2, 2), square metres.
+        starts: True where a track starts, shape (B,).
+        updates: True where a fix enters a track that has started, shape (B,).
+        advances: True where a track is after the interval what it was not before, shape (B,).
+    """
+
+    now: Tensor
+    flow: Tensor
+    drift: Tensor
+    measured: Tensor
+    alone: Tensor
+    noise: Tensor
+    starts: Tensor
+    updates: Tensor
+    advances: Tensor
+
+    def by_step(self, steps: int, devices: int) -> Iterator[_Moves]:
+        """Yield those of every step, out of T · B of them."""
+        columns = [getattr(self, one.name).unflatten(0, (steps, devices)).unbind() for one in fields(self)]
+        return (_Moves(*row) for row in zip(*columns, strict=True))
+
+
 class BatchedFilter:
     """The filter over a batch of devices, float64, no loop over them."""
 
@@ -155,44 +188,105 @@ class BatchedFilter:
         Returns:
             The new state and the filtered estimate, whose reasons are those of ``fixes``.
         """
-        settings = self.settings
-        now = torch.maximum(t_s.double(), state.t_s)
-        dt = now - state.t_s
-        flow = transition(dt, settings.turning_s)
-        means = (flow @ state.means[..., None])[..., 0]
-        covariances = flow @ state.covariances @ flow.mT + process_noise(dt, settings)
-
-        fixed = fixes.fixed & present
-        starts = fixed & ~state.started
-        updates = fixed & state.started
-        measured = torch.where(fixed[:, None], fixes.positions.double(), 0.0)
-        alone = self._fix_covariances(fixes, fixed)
-        noise = alone * _correlated(now - state.fixed_t_s, settings.correlation_s)[:, None, None]
-        innovation = measured - means[:, :2]
-        spread_inverse = symmetric_inverse(covariances[:, :2, :2] + noise)
-        distance = (innovation[:, None, :] @ spread_inverse @ innovation[..., None])[:, 0, 0]
-        noise = noise * (distance / settings.gate).clamp(min=1.0)[:, None, None]
-
-        gain = covariances[:, :, :2] @ symmetric_inverse(covariances[:, :2, :2] + noise)
-        kept = _IDENTITY.to(gain.device) - torch.nn.functional.pad(gain, (0, 2))
-        updated_means = means + (gain @ innovation[..., None])[..., 0]
-        updated_covariances = kept @ covariances @ kept.mT + gain @ noise @ gain.mT
-
-        first_means = torch.nn.functional.pad(measured, (0, 2))
-        first_covariances = torch.nn.functional.pad(alone, (0, 2, 0, 2))
-        first_covariances = first_covariances + self._first_velocity_covariance.to(alone.device)
-
-        means = _choose(starts, first_means, _choose(updates, updated_means, means))
-        covariances = _choose(starts, first_covariances, _choose(updates, updated_covariances, covariances))
-        advances = present & (state.started | starts)
+        moves = self._moves(t_s, present, fixes, (state.t_s, state.fixed_t_s, state.started))
+        means, covariances = self._moved(state.means, state.covariances, moves, bool(moves.updates.all()))
         new = KalmanState(
-            means=_choose(advances, means, state.means),
-            covariances=_choose(advances, covariances, state.covariances),
-            t_s=torch.where(advances, now, state.t_s),
-            fixed_t_s=torch.where(fixed, now, state.fixed_t_s),
-            started=state.started | starts,
+            means=means,
+            covariances=covariances,
+            t_s=torch.where(moves.advances, moves.now, state.t_s),
+            fixed_t_s=torch.where(moves.updates | moves.starts, moves.now, state.fixed_t_s),
+            started=state.started | moves.starts,
         )
         return new, estimate(new.means[:, :2], new.covariances[:, :2, :2], fixes.reasons)
+
+    def run(self, t_s: Tensor, present: Tensor, fixes: Estimate) -> Estimate:
+        """Filter whole recordings from a fresh state, as ``step`` does one interval after the other.
+
+        When a track moves depends on no position, so that all but the update itself is made for all steps at once.
+
+        Args:
+            t_s: Times of the intervals, shape (T, B), seconds.
+            present: True where a device has an interval, shape (T, B).
+            fixes: What the method found, shape (T, B, …).
+
+        Returns:
+            The filtered estimates, shape (T, B, …).
+        """
+        steps, devices = t_s.shape
+        state = self.init(devices, device=t_s.device)
+        fixed = fixes.fixed & present
+        started = torch.cat([state.started[None], fixed]).int().cummax(0).values.bool()
+        advancing = torch.where(present & started[1:], t_s.double(), 0.0)
+        times = torch.cat([state.t_s[None], advancing]).cummax(0).values
+        now = torch.maximum(t_s.double(), times[:-1])
+        fixed_times = torch.cat([state.fixed_t_s[None], torch.where(fixed, now, 0.0)]).cummax(0).values
+        before = (times[:-1].flatten(), fixed_times[:-1].flatten(), started[:-1].flatten())
+        rows = Estimate(
+            fixes.positions.flatten(0, 1), fixes.covariances.flatten(0, 1), fixes.reasons.flatten()
+        )
+        moves = self._moves(t_s.flatten(), present.flatten(), rows, before)
+        all_update = moves.updates.reshape(steps, devices).all(-1).tolist()
+        means, covariances, found = state.means, state.covariances, []
+        for one, updates in zip(moves.by_step(steps, devices), all_update, strict=True):
+            means, covariances = self._moved(means, covariances, one, updates)
+            found.append((means[:, :2], covariances[:, :2, :2]))
+        smooth = estimate(
+            torch.cat([positions for positions, _ in found]),
+            torch.cat([spreads for _, spreads in found]),
+            rows.reasons,
+        )
+        return Estimate(
+            smooth.positions.reshape(steps, devices, 2),
+            smooth.covariances.reshape(steps, devices, 2, 2),
+            smooth.reasons.reshape(steps, devices),
+        )
+
+    def _moves(
+        self, t_s: Tensor, present: Tensor, fixes: Estimate, before: tuple[Tensor, Tensor, Tensor]
+    ) -> _Moves:
+        """Return what intervals (B,) do to tracks, from ``t_s``, ``fixed_t_s`` and ``started`` before them."""
+        track_t_s, fixed_t_s, started = before
+        now = torch.maximum(t_s.double(), track_t_s)
+        dt = now - track_t_s
+        fixed = fixes.fixed & present
+        alone = self._fix_covariances(fixes, fixed)
+        starts = fixed & ~started
+        return _Moves(
+            now=now,
+            flow=transition(dt, self.settings.turning_s),
+            drift=process_noise(dt, self.settings),
+            measured=torch.where(fixed[:, None], fixes.positions.double(), 0.0),
+            alone=alone,
+            noise=alone * _correlated(now - fixed_t_s, self.settings.correlation_s)[:, None, None],
+            starts=starts,
+            updates=fixed & started,
+            advances=present & (started | starts),
+        )
+
+    def _moved(
+        self, means: Tensor, covariances: Tensor, moves: _Moves, all_update: bool
+    ) -> tuple[Tensor, Tensor]:
+        """Return means and covariances after one interval; there is nothing to choose where all update."""
+        predicted_means = (moves.flow @ means[..., None])[..., 0]
+        predicted = moves.flow @ covariances @ moves.flow.mT + moves.drift
+        innovation = moves.measured - predicted_means[:, :2]
+        spread_inverse = symmetric_inverse(predicted[:, :2, :2] + moves.noise)
+        distance = (innovation[:, None, :] @ spread_inverse @ innovation[..., None])[:, 0, 0]
+        noise = moves.noise * (distance / self.settings.gate).clamp(min=1.0)[:, None, None]
+
+        gain = predicted[:, :, :2] @ symmetric_inverse(predicted[:, :2, :2] + noise)
+        kept = _IDENTITY.to(gain.device) - torch.nn.functional.pad(gain, (0, 2))
+        updated_means = predicted_means + (gain @ innovation[..., None])[..., 0]
+        updated = kept @ predicted @ kept.mT + gain @ noise @ gain.mT
+        if all_update:
+            return updated_means, updated
+
+        first_means = torch.nn.functional.pad(moves.measured, (0, 2))
+        first = torch.nn.functional.pad(moves.alone, (0, 2, 0, 2))
+        first = first + self._first_velocity_covariance.to(first.device)
+        new_means = _choose(moves.starts, first_means, _choose(moves.updates, updated_means, predicted_means))
+        new = _choose(moves.starts, first, _choose(moves.updates, updated, predicted))
+        return _choose(moves.advances, new_means, means), _choose(moves.advances, new, covariances)
 
     def _fix_covariances(self, fixes: Estimate, fixed: Tensor) -> Tensor:
         """Return R of fixes that stand alone, shape (B, 2, 2), square metres."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -24,6 +24,7 @@ class PlanRaster:
 
     ink: Tensor
     pixels_from_metres: Tensor
+    _softened: dict[float, PlanRaster] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, plan: FloorPlan) -> PlanRaster:
@@ -32,8 +33,17 @@ class PlanRaster:
         return cls(ink=ink_of(plan), pixels_from_metres=matrix)
 
     def to(self, device: torch.device | str) -> PlanRaster:
-        """Return the raster on ``device``."""
+        """Return the raster on ``device``; itself where it is there already."""
+        if self.ink.device == torch.device(device):
+            return self
         return PlanRaster(self.ink.to(device), self.pixels_from_metres.to(device))
+
+    def softened(self, pixels_per_metre: float) -> PlanRaster:
+        """Return the raster softened for crops of a resolution: done once, since every batch asks for it."""
+        if pixels_per_metre not in self._softened:
+            ink = soften_for(self.ink, self.pixels_from_metres, pixels_per_metre)
+            self._softened[pixels_per_metre] = PlanRaster(ink, self.pixels_from_metres)
+        return self._softened[pixels_per_metre]
 
 
 @dataclass(frozen=True)
@@ -58,9 +68,8 @@ class CropSettings:
         return round(self.width_m * self.pixels_per_metre) * self.max_length_px
 
     def softened(self, plan: PlanRaster) -> PlanRaster:
-        """Return ``plan`` prepared for ``crop_softened``: done once where many batches see one plan."""
-        ink = soften_for(plan.ink, plan.pixels_from_metres, self.pixels_per_metre)
-        return PlanRaster(ink, plan.pixels_from_metres)
+        """Return ``plan`` prepared for ``crop_softened``."""
+        return plan.softened(self.pixels_per_metre)
 
     def crop(
         self, plan: PlanRaster, starts: Tensor, ends: Tensor, distortions: Distortions | None = None

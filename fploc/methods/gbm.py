@@ -146,7 +146,7 @@ def _readings(examples: Examples, settings: GbmSettings) -> list[_Readings]:
     windows_s = torch.tensor(settings.windows_s, dtype=torch.float64)
     collected = []
     for step in range(steps):
-        history, features = history.after(examples.at(step), windows_s)
+        history, features = history.after(examples.intervals.at(step), windows_s)
         collected.append(features)
     every = torch.stack(collected)[learned]
     away = examples.labels[:, :, None, :] - torch.from_numpy(examples.site.positions_m)

@@ -129,18 +129,6 @@ class Examples:
     labels: Tensor
     devices: Tensor
 
-    def at(self, step: int) -> Intervals:
-        """Return one interval of every recording."""
-        every = self.intervals
-        return Intervals(
-            t_s=every.t_s[step],
-            ranges=every.ranges[step],
-            stds=every.stds[step],
-            rss=every.rss[step],
-            heard=every.heard[step],
-            present=every.present[step],
-        )
-
 
 @runtime_checkable
 class SourceFitted(Protocol):

@@ -83,9 +83,8 @@ def range_lessons(examples: Examples, coarse: CoarseBelief, settings: LessonSett
     steps, rows, access_points = intervals.ranges.shape
     state = CoarseState.before(coarse.grid(examples.site), coarse.walk, rows)
     features = torch.zeros(steps, rows, access_points, len(FEATURES), dtype=torch.float64)
-    thinned = replace(examples, intervals=intervals, labels=labels)
     for step in range(steps):
-        state, heard = coarse.step(state, thinned.at(step))
+        state, heard = coarse.step(state, intervals.at(step))
         features[step] = heard.features
     away = labels[:, :, None, :] - torch.from_numpy(examples.site.positions_m)
     errors_m = intervals.ranges - away.norm(dim=-1)

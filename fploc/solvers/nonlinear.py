@@ -12,7 +12,7 @@ Axes: B intervals, A access points, S starts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -22,7 +22,6 @@ from fploc.solvers.losses import Loss, SquaredLoss
 from fploc.solvers.planar import (
     SMALLEST_SPREAD_RATIO,
     centroids,
-    eigenvalues,
     mirrored,
     spread_ratios,
     symmetric_inverse,
@@ -60,55 +59,103 @@ class NonlinearSettings:
 
 
 @dataclass(frozen=True)
+class _Quadratic:
+    """Curvature [[xx, xy], [xy, yy]] and slope (x, y) of the cost, shape (B, S) each."""
+
+    xx: Tensor
+    xy: Tensor
+    yy: Tensor
+    x: Tensor
+    y: Tensor
+
+    def damped_step(self, damping: Tensor) -> Tensor:
+        """Return the step to the minimum, (B, S, 2), damped by ``damping`` (B, S) of the largest curvature."""
+        middle = (self.xx + self.yy) / 2
+        half_gap = torch.hypot((self.xx - self.yy) / 2, self.xy)
+        smallest, largest = middle - half_gap, middle + half_gap
+        shift = (-2 * smallest).clamp(min=0.0) + damping * torch.maximum(largest.abs(), smallest.abs())
+        xx, yy = self.xx + shift, self.yy + shift
+        determinant = xx * yy - self.xy * self.xy
+        across = self.xy / determinant
+        along_x, along_y = yy / determinant, xx / determinant
+        return torch.stack([across * self.y - along_x * self.x, across * self.x - along_y * self.y], dim=-1)
+
+
+@dataclass(frozen=True)
 class _Ranges:
-    """The problem: ``ranges``, ``sigmas``, ``heard`` (B, A), ``access_points`` (A, 2) or (B, A, 2), ``loss``."""
+    """The problem, access points first: sums over them then run over whole rows, x and y apart.
+
+    Args:
+        ranges: Shape (A, B, 1), metres.
+        anchors_x: Shape (A, 1, 1) or (A, B, 1), metres, site frame.
+        anchors_y: The same.
+        scale: 1/σ, shape (A, B, 1); 0 where not heard.
+        loss: Of the residuals over σ.
+    """
 
     ranges: Tensor
-    access_points: Tensor
-    sigmas: Tensor
-    heard: Tensor
+    anchors_x: Tensor
+    anchors_y: Tensor
+    scale: Tensor
     loss: Loss
 
-    def away(self, positions: Tensor) -> Tensor:
-        """Return the vectors from access points to ``positions`` (B, S, 2), shape (B, S, A, 2)."""
-        anchors = self.access_points if self.access_points.dim() == 2 else self.access_points[:, None]
-        return positions[..., None, :] - anchors
+    @classmethod
+    def of(cls, ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard: Tensor, loss: Loss) -> _Ranges:
+        """Return the problem of ``ranges``, ``sigmas``, ``heard`` (B, A), ``access_points`` ([B,] A, 2)."""
+        anchors = access_points[:, None] if access_points.dim() == 2 else access_points.transpose(0, 1)
+        return cls(
+            ranges=ranges.T.contiguous()[..., None],
+            anchors_x=anchors[..., :1].contiguous(),
+            anchors_y=anchors[..., 1:].contiguous(),
+            scale=(heard / sigmas).T.contiguous()[..., None],
+            loss=loss,
+        )
 
-    def scaled_residuals(self, positions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return residuals over σ, (B, S, A), and their Jacobian, (B, S, A, 2), at ``positions`` (B, S, 2)."""
-        away = self.away(positions)
-        distances = away.square().sum(-1).sqrt().clamp(min=SHORTEST_DISTANCE_M)
-        scale = (self.heard / self.sigmas)[:, None, :]
-        return (distances - self.ranges[:, None, :]) * scale, away * (scale / distances)[..., None]
+    def away(self, positions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return x and y from access points to ``positions`` (B, S, 2), and the distances, (A, B, S) each."""
+        x, y = positions[..., 0] - self.anchors_x, positions[..., 1] - self.anchors_y
+        return x, y, (x.square() + y.square()).sqrt_().clamp_(min=SHORTEST_DISTANCE_M)
 
     def cost(self, positions: Tensor) -> Tensor:
         """Return the sum of the losses, (B, S), at ``positions`` (B, S, 2)."""
-        return self.loss.value(self.scaled_residuals(positions)[0]).sum(-1)
+        _, _, distances = self.away(positions)
+        return self.loss.value((distances - self.ranges) * self.scale).sum(0)
 
-    def gauss_newton_equations(self, positions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return JᵀWJ, shape (B, S, 2, 2), and the slope of the cost, (B, S, 2)."""
-        scaled, jacobian = self.scaled_residuals(positions)
-        weighted = jacobian * self.loss.weight(scaled)[..., None]
-        return weighted.mT @ jacobian, (weighted * scaled[..., None]).sum(-2)
+    def gauss_newton(self, positions: Tensor) -> _Quadratic:
+        """Return JᵀWJ and the slope of the cost at ``positions`` (B, S, 2)."""
+        x, y, distances = self.away(positions)
+        scaled, per_metre = (distances - self.ranges) * self.scale, self.scale / distances
+        weights = self.loss.weight(scaled)
+        return _quadratic(x * per_metre, y * per_metre, along=weights, pull=weights * scaled)
 
-    def newton_equations(self, positions: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the curvature of the cost, (B, S, 2, 2), and its slope, (B, S, 2).
+    def newton(self, positions: Tensor) -> _Quadratic:
+        """Return curvature and slope of the cost at ``positions`` (B, S, 2).
 
         Along each line of sight the curvature is the loss's own. Across it the curvature holds what
         Gauss–Newton drops, the bending of the range circles, w (1 − d/r): with residuals of metres it decides
         the speed.
         """
-        scaled, jacobian = self.scaled_residuals(positions)
-        weights = self.loss.weight(scaled)
-        scale = (self.heard / self.sigmas)[:, None, :]
-        distances = self.away(positions).square().sum(-1).sqrt()
-        bend = weights * scale * scaled / distances.clamp(min=SHORTEST_DISTANCE_M)
-        across = torch.where(scale > 0, bend / scale.square(), 0.0)[..., None]
-        identity = torch.eye(2, dtype=positions.dtype, device=positions.device)
-        along = self.loss.curvature(scaled)[..., None]
-        curvature = (jacobian * (along - across)).mT @ jacobian
-        curvature = curvature + bend.sum(-1)[..., None, None] * identity
-        return curvature, (jacobian * (weights * scaled)[..., None]).sum(-2)
+        x, y, distances = self.away(positions)
+        scaled, per_metre = (distances - self.ranges) * self.scale, self.scale / distances
+        pull = self.loss.weight(scaled) * scaled
+        bend = pull * per_metre
+        across = torch.where(self.scale > 0, bend / self.scale.square(), 0.0)
+        along = self.loss.curvature(scaled) - across
+        found = _quadratic(x * per_metre, y * per_metre, along=along, pull=pull)
+        everywhere = bend.sum(0)
+        return replace(found, xx=found.xx + everywhere, yy=found.yy + everywhere)
+
+
+def _quadratic(slope_x: Tensor, slope_y: Tensor, *, along: Tensor, pull: Tensor) -> _Quadratic:
+    """Return sums over access points, from slopes of the residuals and their factors, (A, B, S) each."""
+    weighted_x = slope_x * along
+    return _Quadratic(
+        xx=(weighted_x * slope_x).sum(0),
+        xy=(weighted_x * slope_y).sum(0),
+        yy=(slope_y.square() * along).sum(0),
+        x=(slope_x * pull).sum(0),
+        y=(slope_y * pull).sum(0),
+    )
 
 
 def default_starts(ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard: Tensor) -> Tensor:
@@ -129,7 +176,7 @@ def default_starts(ranges: Tensor, access_points: Tensor, sigmas: Tensor, heard:
     angles = points.to(ranges.dtype) * (2 * torch.pi / CIRCLE_POINTS)
     directions = torch.stack([angles.cos(), angles.sin()], -1)
     circle = taken(access_points, nearest)[:, None, :] + radius[:, None, None] * directions
-    costs = _Ranges(ranges, access_points, sigmas, heard, SquaredLoss()).cost(circle)
+    costs = _Ranges.of(ranges, access_points, sigmas, heard, SquaredLoss()).cost(circle)
     quarters = costs.reshape(-1, QUARTERS, CIRCLE_POINTS // QUARTERS)
     chosen = quarters.argmin(-1) + points[:: CIRCLE_POINTS // QUARTERS]
     rows = torch.arange(len(circle), device=circle.device)
@@ -167,15 +214,16 @@ def solve_nonlinear(
         Estimate with positions (B, 2) and covariances (B, 2, 2). No fix with fewer than three ranges, and
         where the access points heard stand on one line.
     """
-    problem = _Ranges(torch.where(heard, ranges, 0.0), access_points, sigmas, heard, loss)
-    positions = default_starts(problem.ranges, access_points, sigmas, heard)
+    ranges = torch.where(heard, ranges, 0.0)
+    problem = _Ranges.of(ranges, access_points, sigmas, heard, loss)
+    positions = default_starts(ranges, access_points, sigmas, heard)
     if starts is not None:
         positions = torch.cat([positions, starts], dim=1)
     positions = _descend(problem, positions, settings)
     costs = problem.cost(positions)
     costs[:, 1:] /= settings.advantage
     rows = torch.arange(len(positions), device=positions.device)
-    return _estimate_at(problem, positions[rows, costs.argmin(-1)], settings)
+    return _estimate_at(problem, positions[rows, costs.argmin(-1)], access_points, heard, settings)
 
 
 def solve_near(
@@ -199,33 +247,31 @@ def solve_near(
         loss: See there.
         settings: See there.
     """
-    problem = _Ranges(torch.where(heard, ranges, 0.0), access_points, sigmas, heard, loss)
-    return _estimate_at(problem, _descend(problem, starts[:, None, :], settings)[:, 0], settings)
+    problem = _Ranges.of(torch.where(heard, ranges, 0.0), access_points, sigmas, heard, loss)
+    solved = _descend(problem, starts[:, None, :], settings)[:, 0]
+    return _estimate_at(problem, solved, access_points, heard, settings)
 
 
-def _estimate_at(problem: _Ranges, solved: Tensor, settings: NonlinearSettings) -> Estimate:
+def _estimate_at(
+    problem: _Ranges, solved: Tensor, access_points: Tensor, heard: Tensor, settings: NonlinearSettings
+) -> Estimate:
     """Return the estimate at solutions of shape (B, 2), metres."""
-    information, _ = problem.gauss_newton_equations(solved[:, None, :])
-    scaled, _ = problem.scaled_residuals(solved[:, None, :])
-    freedom = (problem.heard.sum(-1) - 2).clamp(min=1)
-    variance = (2 * problem.loss.value(scaled).sum(-1)[:, 0] / freedom).clamp(min=1.0)
-    covariances = symmetric_inverse(information[:, 0]) * variance[:, None, None]
-    ratios = spread_ratios(problem.access_points, problem.heard)
-    return estimate(solved, covariances, reasons_for(problem.heard, ratios >= settings.smallest_spread_ratio))
+    found = problem.gauss_newton(solved[:, None, :])
+    information = torch.stack([found.xx, found.xy, found.xy, found.yy], dim=-1).reshape(-1, 2, 2)
+    freedom = (heard.sum(-1) - 2).clamp(min=1)
+    variance = (2 * problem.cost(solved[:, None, :])[:, 0] / freedom).clamp(min=1.0)
+    covariances = symmetric_inverse(information) * variance[:, None, None]
+    ratios = spread_ratios(access_points, heard)
+    return estimate(solved, covariances, reasons_for(heard, ratios >= settings.smallest_spread_ratio))
 
 
 def _descend(problem: _Ranges, positions: Tensor, settings: NonlinearSettings) -> Tensor:
     """Iterate every start, shape (B, S, 2); a step that does not lower the cost is not taken."""
     costs = problem.cost(positions)
     damping = torch.full_like(costs, settings.damping)
-    identity = torch.eye(2, dtype=positions.dtype, device=positions.device)
-    systems = [problem.gauss_newton_equations] * settings.gauss_newton_steps
-    for equations in systems + [problem.newton_equations] * settings.newton_steps:
-        curvature, slope = equations(positions)
-        smallest, largest = eigenvalues(curvature)
-        shift = (-2 * smallest).clamp(min=0.0) + damping * torch.maximum(largest.abs(), smallest.abs())
-        damped = curvature + shift[..., None, None] * identity
-        trial = positions - (symmetric_inverse(damped) @ slope[..., None])[..., 0]
+    models = [problem.gauss_newton] * settings.gauss_newton_steps + [problem.newton] * settings.newton_steps
+    for model in models:
+        trial = positions + model(positions).damped_step(damping)
         trial_costs = problem.cost(trial)
         better = trial_costs < costs
         positions = torch.where(better[..., None], trial, positions)

@@ -133,6 +133,19 @@ def test_two_processes_give_what_one_gives_and_keep_the_order(
     assert book.left(stages) == []
 
 
+@pytest.mark.parametrize(("given", "expected"), [(None, "3"), ("5", "5")])
+def test_processes_share_the_cores_unless_told_how_many_threads_to_start(
+    given: str | None, expected: str, work: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "cpu_count", lambda: 7)
+    if given is None:
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    else:
+        monkeypatch.setenv("OMP_NUM_THREADS", given)
+    side_by_side(work, work.counted, tmp_path)
+    assert (tmp_path / "threads").read_text() == expected
+
+
 def test_finished_stages_start_no_process(work: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     StageBook(tmp_path / "book").run(work.chain(tmp_path))
     monkeypatch.setattr(fploc.experiments.stages, "ProcessPoolExecutor", None)

@@ -53,6 +53,11 @@ def waiting(folder: Path) -> list[Stage]:
     return [stage(folder, "slow", (), partial(_wait_for_the_end, folder))]
 
 
+def counted(folder: Path) -> list[Stage]:
+    """One stage that notes how many threads libraries of numbers may start."""
+    return [stage(folder, "threads", (), partial(_note_threads, folder / "threads"))]
+
+
 def stage(folder: Path, name: str, after: tuple[str, ...], work: Callable[[], None]) -> Stage:
     """Return a stage whose output is the file of its name."""
     return Stage(name=name, inputs=("a",), outputs=(folder / name,), after=after, run=work)
@@ -96,3 +101,7 @@ def _wait_for_the_end(folder: Path) -> None:
 def _fail(folder: Path) -> None:
     wait_for(folder / "slow-began")
     raise UnknownNameError("--plan", "moon", known=["real", "blank"], way_out="choose one of these")
+
+
+def _note_threads(file: Path) -> None:
+    file.write_text(os.environ["OMP_NUM_THREADS"])

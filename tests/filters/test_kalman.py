@@ -107,6 +107,33 @@ def test_it_follows_a_straight_walk_better_than_its_fixes() -> None:
     torch.testing.assert_close(state.means[0, 2:], torch.tensor([0.5, -0.2]).double(), atol=0.5, rtol=0)
 
 
+@pytest.mark.parametrize("settings", SETTINGS)
+def test_whole_recordings_at_once_equal_one_interval_after_the_other(settings: KalmanSettings) -> None:
+    t_s, positions, fixed, present = walk(3)
+    t_s[9] = t_s[7]
+    variances = (0.7 + torch.arange(STEPS) % 3).double()
+    batched = BatchedFilter(settings)
+    state, expected = batched.init(DEVICES), []
+    for step in range(STEPS):
+        fixes = fixes_at(positions[step], fixed[step], variance=float(variances[step]))
+        state, found = batched.step(state, t_s[step], present[step], fixes)
+        expected.append(found)
+    rows = fixes_at(positions.flatten(0, 1), fixed.flatten())
+    together = batched.run(
+        t_s,
+        present,
+        Estimate(
+            rows.positions.reshape(STEPS, DEVICES, 2),
+            rows.covariances.reshape(STEPS, DEVICES, 2, 2) * variances[:, None, None, None],
+            rows.reasons.reshape(STEPS, DEVICES),
+        ),
+    )
+    for name in ("positions", "covariances", "reasons"):
+        in_turn = torch.stack([getattr(one, name) for one in expected])
+        torch.testing.assert_close(getattr(together, name), in_turn, rtol=0, atol=1e-9, equal_nan=True)
+    assert together.fixed.sum() > STEPS
+
+
 def test_an_interval_without_a_fix_stays_without_one_and_the_track_goes_on() -> None:
     batched = BatchedFilter(KalmanSettings())
     here = torch.ones(1, dtype=torch.bool)

@@ -75,7 +75,7 @@ def followed(method: LearnedGridFilter, examples: Examples) -> tuple[torch.Tenso
     state = method.init(SITE, examples.labels.shape[1])
     errors = []
     for step in range(len(examples.labels)):
-        state, found = method.step(state, examples.at(step))
+        state, found = method.step(state, examples.intervals.at(step))
         errors.append((found.positions - examples.labels[step]).norm(dim=-1))
     return torch.stack(errors), found
 
@@ -108,7 +108,7 @@ def test_the_stated_regions_hold_most_truths() -> None:
     for seed in (3, 4):
         examples, state = walked(seed), method.init(SITE, 2)
         for step in range(len(examples.labels)):
-            state, found = method.step(state, examples.at(step))
+            state, found = method.step(state, examples.intervals.at(step))
             away = (found.positions - examples.labels[step])[..., None]
             held.append((away.mT @ torch.linalg.solve(found.covariances, away))[:, 0, 0] < 5.99)
     assert torch.stack(held).double().mean() > 0.9
