@@ -48,7 +48,7 @@ def test_what_faint_ranges_have_too_much_is_taken_off() -> None:
     unseen = walked(1)
     state = method.init(SITE, 2)
     for step in range(20):
-        state, found = method.step(state, unseen.at(step))
+        state, found = method.step(state, unseen.intervals.at(step))
         assert found.fixed.all()
         assert ((found.positions - unseen.labels[step]).norm(dim=-1) < 0.2).all()
 
@@ -64,7 +64,7 @@ def test_ranges_that_err_more_weigh_less() -> None:
     traces = []
     for rss_dbm, excess_m in ((-50.0, 0.0), (FAINT_DBM, EXCESS_M)):
         rss = torch.full_like(distances, rss_dbm)
-        one = replace(learned.at(0), ranges=distances + excess_m, rss=rss)
+        one = replace(learned.intervals.at(0), ranges=distances + excess_m, rss=rss)
         traces.append(method.step(method.init(SITE, 2), one)[1].covariances[0].trace())
     assert traces[1] > 3 * traces[0]
 
