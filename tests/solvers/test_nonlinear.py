@@ -167,3 +167,19 @@ def test_squared_loss_has_the_weight_of_its_slope() -> None:
     scaled = torch.linspace(-3, 3, 7, dtype=torch.float64, requires_grad=True)
     slope = torch.autograd.grad(SquaredLoss().value(scaled).sum(), scaled)[0]
     torch.testing.assert_close(SquaredLoss().weight(scaled) * scaled, slope)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_residuals_beyond_the_sigmas_widen_the_covariance(count: int) -> None:
+    heard = (torch.arange(len(SQUARE)) < count)[None]
+    ranges = true_ranges(torch.tensor([[3.0, 4.0]], dtype=torch.float64))
+    ranges = ranges + torch.tensor([1.3, -0.9, 0.8, -1.1, 0.7], dtype=torch.float64)
+    sigmas = torch.tensor([[0.1, 0.2, 0.15, 0.1, 0.3]], dtype=torch.float64)
+    found = solve_nonlinear(ranges, SQUARE, sigmas, heard)
+    away = found.positions - SQUARE[:count]
+    distances = away.norm(dim=-1)
+    rows = away / distances[:, None] / sigmas[0, :count, None]
+    residuals = (distances - ranges[0, :count]) / sigmas[0, :count]
+    scale = residuals.square().sum() / max(count - 2, 1)
+    assert scale > 1.0
+    torch.testing.assert_close(found.covariances[0], scale * torch.linalg.inv(rows.T @ rows), rtol=1e-6, atol=0)
