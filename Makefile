@@ -36,6 +36,9 @@ reproduce: install ## Get data, train, evaluate, tabulate; PRESET=smoke|default|
 test: install ## Run the whole test suite (under 15 minutes)
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
 
+coverage: install ## Run the whole test suite and say which branches it reaches: at least 90 % (20 minutes)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term --cov-report=json:$(RUNS)/coverage.json
+
 mutants: install ## Change the code in 300 places and count what the tests notice: at least 80 % (60 minutes)
 	@$(BIN)/python benchmarks/mutants.py --processes $(WORKERS) --out $(RUNS)/mutants.json
 

@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -60,9 +61,13 @@ def possible_mutants() -> dict[str, Path]:
 def run(names: Iterable[str], processes: int) -> None:
     """Run the tests of each of these mutants, on so many processes; mutmut keeps the outcome under mutants/.
 
+    What an earlier run left there is removed: mutmut numbers the mutants anew where its settings change, but
+    takes over what it made of a file that did not.
+
     Raises:
         SystemExit: the tests fail on the code as it is, or mutmut does not work here.
     """
+    shutil.rmtree("mutants", ignore_errors=True)
     environment = os.environ | {"OMP_NUM_THREADS": "1", "MUTMUT_COLOR": "0"}
     if PUBLIC_DATA.is_dir():
         environment.setdefault("FPLOC_SOURCE", str(PUBLIC_DATA))
