@@ -74,7 +74,9 @@ def run(names: Iterable[str], processes: int) -> None:
     command = [str(Path(sys.executable).parent / "mutmut"), "run", "--max-children", str(processes), *names]
     done = subprocess.run(command, env=environment, check=False, capture_output=True, text=True)
     if done.returncode:
-        sys.exit(f"mutmut ended with exit code {done.returncode}:\n{done.stdout[-4000:]}{done.stderr[-4000:]}")
+        sys.exit(
+            f"mutmut ended with exit code {done.returncode}:\n{done.stdout[-4000:]}{done.stderr[-4000:]}"
+        )
 
 
 def statuses(sample: Mapping[str, Path]) -> dict[str, str]:
@@ -87,7 +89,9 @@ def statuses(sample: Mapping[str, Path]) -> dict[str, str]:
     for file in sorted(set(sample.values())):
         data = SourceFileMutationData(path=file)
         data.load()
-        outcomes |= {name: status_by_exit_code[data.exit_code_by_key[name]] for name in sample if sample[name] == file}
+        outcomes |= {
+            name: status_by_exit_code[data.exit_code_by_key[name]] for name in sample if sample[name] == file
+        }
     unclear = {name: status for name, status in outcomes.items() if status not in LIVING + KILLED}
     if unclear:
         sys.exit(f"mutants without an outcome: {unclear}")
@@ -109,7 +113,9 @@ def rates(possible: Mapping[str, Path], outcomes: Mapping[str, str]) -> list[Rat
 
 def options() -> argparse.Namespace:
     """Return the options of the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--sample", type=int, default=300, help="mutants to try (300)")
     parser.add_argument("--seed", type=int, default=0, help="of the draw (0)")
     parser.add_argument("--processes", type=int, default=2, help="mutants at a time (2)")
@@ -125,13 +131,15 @@ def main() -> None:
     os.chdir(ROOT)
     possible = possible_mutants()
     names = random.Random(chosen.seed).sample(sorted(possible), min(chosen.sample, len(possible)))
-    print(f"{len(names)} of {len(possible)} mutants, seed {chosen.seed}", file=sys.stderr)
+    print(f"{len(names)} of {len(possible)} mutants, seed {chosen.seed}", file=sys.stderr)  # noqa: T201
     started = time.monotonic()
     run(names, chosen.processes)
     outcomes = statuses({name: possible[name] for name in names})
     table = rates(possible, outcomes)
     survivors = {
-        name: get_diff_for_mutant(name, path=possible[name]) for name in sorted(outcomes) if outcomes[name] in LIVING
+        name: get_diff_for_mutant(name, path=possible[name])
+        for name in sorted(outcomes)
+        if outcomes[name] in LIVING
     }
     out.parent.mkdir(parents=True, exist_ok=True)
     report = {
@@ -140,7 +148,7 @@ def main() -> None:
     }  # fmt: skip
     out.write_text(json.dumps(report, indent=1) + "\n")
     for diff in survivors.values():
-        print(diff)
+        print(diff)  # noqa: T201
     print_table(
         [
             {
@@ -153,7 +161,7 @@ def main() -> None:
             for row in table
         ]
     )
-    print(f"{report['seconds']} s; {out}", file=sys.stderr)
+    print(f"{report['seconds']} s; {out}", file=sys.stderr)  # noqa: T201
     share = table[-1]["killed_share"]
     if share is None or share < chosen.floor:
         sys.exit(f"less than {chosen.floor:.0%} of the mutants killed")

@@ -72,7 +72,9 @@ def test_a_plan_in_the_place_of_another_keeps_its_drawing_and_scale() -> None:
     assert placed.name == "one"
     np.testing.assert_array_equal(placed.grey, plan.grey)
     np.testing.assert_allclose(placed.georeference.to_metres([-0.5, -0.5]), [-7.0, 31.0])
-    np.testing.assert_allclose(placed.georeference.to_metres([59.5, 39.5]), [-7.0 + 60 * 0.05, 31.0 - 40 * 0.05])
+    np.testing.assert_allclose(
+        placed.georeference.to_metres([59.5, 39.5]), [-7.0 + 60 * 0.05, 31.0 - 40 * 0.05]
+    )
 
 
 def test_walls_of_a_soft_image_are_what_is_nearer_to_black(tmp_path: Path) -> None:

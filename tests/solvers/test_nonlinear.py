@@ -182,7 +182,9 @@ def test_residuals_beyond_the_sigmas_widen_the_covariance(count: int) -> None:
     residuals = (distances - ranges[0, :count]) / sigmas[0, :count]
     scale = residuals.square().sum() / max(count - 2, 1)
     assert scale > 1.0
-    torch.testing.assert_close(found.covariances[0], scale * torch.linalg.inv(rows.T @ rows), rtol=1e-6, atol=0)
+    torch.testing.assert_close(
+        found.covariances[0], scale * torch.linalg.inv(rows.T @ rows), rtol=1e-6, atol=0
+    )
 
 
 def test_near_a_start_the_minimum_on_its_side_is_found() -> None:
@@ -200,4 +202,6 @@ def test_near_a_start_the_minimum_on_its_side_is_found() -> None:
     assert guarded.reasons.tolist() == [NoFix.DEGENERATE_GEOMETRY] * 2
     ranges[:, 2] = torch.nan
     fewer = heard & torch.tensor([True, True, False])
-    assert solve_near(ranges, line, sigmas, fewer, starts=sides).reasons.tolist() == [NoFix.TOO_FEW_RANGES] * 2
+    assert (
+        solve_near(ranges, line, sigmas, fewer, starts=sides).reasons.tolist() == [NoFix.TOO_FEW_RANGES] * 2
+    )
