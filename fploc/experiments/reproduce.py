@@ -43,6 +43,7 @@ from fploc.experiments.plan import (
     without_lonely,
 )
 from fploc.experiments.preset import Preset, read_preset
+from fploc.experiments.registered_models import register_models
 from fploc.experiments.reporting import FACTS, FIGURES, PAGE, RECORDS, Report
 from fploc.experiments.scoring import PLANS, Scored, scored
 from fploc.experiments.stages import Stage, StageBook
@@ -333,6 +334,7 @@ class Reproduction:
             [self._match_file(site) for site in self._synthesized()],
         )
         record_overviews(read_tracked_records(self.folder / RECORDS), self.preset.name, self.runs)
+        register_models(self.log, self.learner.folders_of(self.learnings()), made_up=self.world.made_up)
 
     def _synthesized(self) -> list[str]:
         """Return the sites that the generator's maps are drawn of."""

@@ -254,6 +254,19 @@ def test_trainings_log_their_curves(calls: Calls) -> None:
     assert all(any(name.startswith("val/") for name in run.data.metrics) for run in trainings)
 
 
+def test_every_artifact_is_a_version_of_its_methods_registered_model(calls: Calls) -> None:
+    uri = f"sqlite:///{calls.root / 'runs' / 'mlflow.db'}"
+    client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
+    registered = {model.name: dict(model.aliases) for model in client.search_registered_models()}
+    assert set(registered) == {"generator, made-up", "gnn, made-up", "gnn-fpdnn, made-up"}
+    folders = {Path(one.source.removeprefix("file://")) for one in client.search_model_versions()}
+    assert folders == {file.parent for file in (calls.root / "runs" / "artifacts").rglob("artifact.json")}
+    assert registered["generator, made-up"] == {}
+    for name in ("gnn, made-up", "gnn-fpdnn, made-up"):
+        champion = client.get_model_version_by_alias(name, "champion")
+        assert (champion.tags["protocol"], champion.tags["target"]) == ("zero-shot", "made-up-2")
+
+
 def test_a_stage_with_a_lost_output_is_done_again_and_what_takes_its_result(calls: Calls) -> None:
     lost = calls.folder / "scores" / "zero-shot--made-up-2--nls--thin-4--seed-0.jsonl"
     before = lost.read_text()
