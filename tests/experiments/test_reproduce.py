@@ -64,7 +64,7 @@ class Calls:
         return self.root / "runs" / "smoke-made-up"
 
 
-def call(root: Path) -> Call:
+def call(root: Path, *more: str) -> Call:
     out, err = io.StringIO(), io.StringIO()
     words = [
         "reproduce",
@@ -74,6 +74,7 @@ def call(root: Path) -> Call:
         str(root / "data"),
         "--runs",
         str(root / "runs"),
+        *more,
     ]
     with redirect_stdout(out), redirect_stderr(err):
         code = main(words)
@@ -169,6 +170,16 @@ def test_the_table_and_the_places_of_everything_are_printed(calls: Calls) -> Non
     assert [name for name, _ in places] == ["results", "records", "figures", "artifacts"]
     assert all(Path(path).exists() for _, path in places)
     assert f"sqlite:///{calls.root / 'runs' / 'mlflow.db'}" in calls.again.out
+
+
+def test_json_holds_the_table_and_the_places_and_nothing_else_is_printed(calls: Calls) -> None:
+    done = json.loads(call(calls.root, "--json").out)
+    assert (done["preset"], done["made_up"], done["labels"]) == ("smoke", True, "repaired")
+    lines = [" ".join(line.split()) for line in calls.again.out.splitlines()]
+    assert done["rows"] and all(" ".join(row.values()) in lines for row in done["rows"])
+    assert done["places"].keys() == {"results", "records", "figures", "artifacts", "MLflow"}
+    assert all(Path(place).exists() for name, place in done["places"].items() if name != "MLflow")
+    assert done["places"]["MLflow"] == f"sqlite:///{calls.root / 'runs' / 'mlflow.db'}"
 
 
 def test_everything_made_from_made_up_buildings_says_so(calls: Calls) -> None:
