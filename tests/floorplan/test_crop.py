@@ -173,3 +173,11 @@ def test_ink_runs_from_0_where_free_to_1_where_black() -> None:
     grey = np.array([[0, 51, 255]], np.uint8)
     ink = ink_of(FloorPlan("grey", grey, grey < 200, GEOREFERENCE))
     torch.testing.assert_close(ink, torch.tensor([[1.0, 0.8, 0.0]]))
+
+
+def test_a_link_without_length_looks_along_x() -> None:
+    # The wall ends 4 cm to the right: one column, as of a link of one pixel that way.
+    (at,) = crop(drawing(), [[10.16, 5.0]], [[10.16, 5.0]]).images
+    (right,) = crop(drawing(), [[10.16, 5.0]], [[10.21, 5.0]]).images
+    torch.testing.assert_close(at, right)
+    assert at[..., 0].min() > 0.5 and at[..., 1:].max() == 0.0

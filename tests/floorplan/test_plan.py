@@ -19,6 +19,7 @@ def test_written_and_read_again(tmp_path: Path) -> None:
     again = read_floor_plan(tmp_path / "plan.png", tmp_path / "walls.png", GEOREFERENCE, "drawn")
     np.testing.assert_array_equal(again.grey, plan.grey)
     np.testing.assert_array_equal(again.walls, plan.walls)
+    assert (again.name, again.georeference) == ("drawn", GEOREFERENCE)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plan.png", "walls.png"]
 
 

@@ -241,6 +241,14 @@ class TestCrossings:
         points = np.stack([along, across] if turned else [across, along], axis=-1)
         assert wall_crossings(plan, points[:, 0], points[:, 1]).count.tolist() == [0, 1, 0, 1]
 
+    def test_nothing_beyond_the_plan_is_a_wall(self) -> None:
+        # A wall along every edge of the sheet, met from inside and never from outside.
+        plan = drawn([(0, 0, 20, 0.05), (0, 9.95, 20, 10), (0, 0, 0.05, 10), (19.95, 0, 20, 10)])
+        starts = [[-1, -0.03], [-1, 10.03], [-0.03, -1], [20.03, -1], [-5, 30]]
+        ends = [[21, -0.03], [21, 10.03], [-0.03, 11], [20.03, 11], [25, 30]]
+        assert wall_crossings(plan, starts, ends).count.tolist() == [0] * 5
+        assert wall_crossings(plan, [[-1, 5], [10, -1]], [[21, 5], [10, 11]]).count.tolist() == [2, 2]
+
     def test_line_of_sight(self) -> None:
         starts, ends = [[1, 2], [1, 2], [5.1, 5]], [[4, 9], [7, 2], [8, 5]]
         assert line_of_sight(self.plan, starts, ends).tolist() == [True, False, False]
@@ -308,3 +316,22 @@ class TestFreeSpace:
             plan.georeference.to_metres(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)), -1, 0
         )
         np.testing.assert_array_equal(cells, (abs(x_m - 19) <= 4) & (abs(y_m - 20.5) <= 3.5))
+
+    @pytest.mark.parametrize(("entrance_m", "is_indoors"), [(2.8, True), (3.2, False)])
+    def test_outdoors_comes_in_through_what_is_3_m_wide(self, entrance_m: float, is_indoors: bool) -> None:
+        # Two rooms; the right one opens to the outside. Most access points hang in the closed one.
+        walls = [(2, 1, 18, 1.2), (2, 8.8, 18, 9), (2, 1, 2.2, 9), (9.9, 1, 10.1, 4.5), (9.9, 5.5, 10.1, 9)]
+        low = 5 - entrance_m / 2
+        walls += [(17.8, 1, 18, low), (17.8, low + entrance_m, 18, 9)]
+        cells = free_space(drawn(walls), [[3, 3], [4, 7], [8, 4], [16, 5]])
+        assert self.at(drawn(walls), cells, 5, 5)
+        assert self.at(drawn(walls), cells, 16, 5) is is_indoors
+
+    @pytest.mark.parametrize("side", [[1, 0], [-1, 0], [0, 1], [0, -1]])
+    def test_a_seed_stands_for_floor_up_to_one_and_a_half_metres_away(self, side: list[int]) -> None:
+        # All wall but a room of 2 m × 2 m around (10, 5), of which cells 0.3 m from its walls are free.
+        plan = drawn([(0, 0, 20, 4), (0, 6, 20, 10), (0, 4, 9, 6), (11, 4, 20, 6)])
+        near, far = (np.add([10.0, 5.0], np.multiply(side, 0.7 + away)) for away in (1.4, 1.6))
+        assert free_space(plan, [near]).any()
+        with pytest.raises(FplocError, match="no cell"):
+            free_space(plan, [far])
