@@ -335,3 +335,10 @@ class TestFreeSpace:
         assert free_space(plan, [near]).any()
         with pytest.raises(FplocError, match="no cell"):
             free_space(plan, [far])
+
+    def test_rooms_that_touch_at_a_corner_are_not_joined(self) -> None:
+        # At 0 m of clearance two rooms of free cells meet at one corner of a cell.
+        walls = [(0, 0, 20, 1), (0, 9, 20, 10), (0, 0, 1, 10), (19, 0, 20, 10), (1, 1, 10, 5), (10, 5, 19, 9)]
+        cells = free_space(drawn(walls), [[5, 7]], clearance_m=0.0)
+        assert self.at(drawn(walls), cells, 5, 7)
+        assert not self.at(drawn(walls), cells, 15, 3)

@@ -72,6 +72,11 @@ def test_it_needs_three_ranges(count: int, reason: NoFix) -> None:
     assert torch.isfinite(found.positions).all().item() is (reason == NoFix.FIXED)
 
 
+def test_a_site_with_three_access_points_gives_fixes() -> None:
+    found = solve(torch.cdist(TRUTH, SQUARE[:3]), access_points=SQUARE[:3])
+    torch.testing.assert_close(found.positions, TRUTH)
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_site_with_few_access_points_gives_no_fix(count: int) -> None:
     found = solve(torch.cdist(TRUTH, SQUARE[:count]), access_points=SQUARE[:count])
