@@ -15,7 +15,7 @@ export MLFLOW_DISABLE_TELEMETRY := true
 export MLFLOW_SERVER_ENABLE_JOB_EXECUTION := false
 
 .DEFAULT_GOAL := help
-.PHONY: help install reproduce test lint ui notebooks model results describe docs docs-serve picture demo soak
+.PHONY: help install reproduce test coverage mutants lint ui notebooks model results describe docs docs-serve picture demo soak
 .PHONY: lock wheel clean
 
 help: ## List every target
@@ -35,6 +35,12 @@ reproduce: install ## Get data, train, evaluate, tabulate; PRESET=smoke|default|
 
 test: install ## Run the whole test suite (under 15 minutes)
 	@$(BIN)/python -m pytest -n 2 --dist loadfile
+
+coverage: install ## Run the whole test suite and say which branches it reaches: at least 90 % (20 minutes)
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term --cov-report=json:$(RUNS)/coverage.json
+
+mutants: install ## Change the code in 300 places and count what the tests notice: at least 80 % (30 minutes)
+	@$(BIN)/python benchmarks/mutants.py --processes $(WORKERS) --out $(RUNS)/mutants.json
 
 lint: install ## Format check, lint, types, direction of imports
 	@$(BIN)/ruff format --check .
@@ -92,4 +98,4 @@ wheel: install ## Build the wheel into dist/
 	@$(BIN)/python -m build --wheel --outdir dist
 
 clean: ## Remove the environment and everything made (not the data)
-	rm -rf $(VENV) build dist runs .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) build dist runs mutants .coverage* .pytest_cache .mypy_cache .ruff_cache

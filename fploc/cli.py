@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import sys
@@ -202,6 +203,7 @@ def _made_up_parser() -> ArgumentParser:
     )
     parser.add_argument("--seed", type=int, required=True, help="One seed, one building.")
     parser.add_argument("--out", type=Path, required=True, help="Folder to write.")
+    _add_printed_json(parser)
     return parser
 
 
@@ -339,6 +341,7 @@ def _reproduce_parser() -> ArgumentParser:
     )
     _add_data_options(parser)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="Folder of everything written.")
+    _add_printed_json(parser)
     return parser
 
 
@@ -607,6 +610,10 @@ def _run_made_up(options: Namespace) -> None:
     from fploc.sites.made_up import made_up_site
 
     site = made_up_site(options.seed, options.out)
+    if options.json:
+        files = sorted(str(path) for path in options.out.rglob("*") if path.is_file())
+        _print({"site": str(site), "seed": options.seed, "files": files}, as_json=True)
+        return
     print(f"{site}: pack it with `fploc data build --sites {site}`")  # noqa: T201
 
 
@@ -722,10 +729,21 @@ def _run_bench(options: Namespace) -> None:
 
 
 def _run_reproduce(options: Namespace) -> None:
+    from dataclasses import asdict
+
     from fploc.experiments.reproduce import reproduce
 
     sites = None if options.sites is None else _named_sites(options.sites)
-    reproduce(options.preset, options.data_root, options.source, options.runs, sites, options.workers)
+    done = reproduce(options.preset, options.data_root, options.source, options.runs, sites, options.workers)
+    if options.json:
+        _print(asdict(done), as_json=True)
+        return
+    title = "MADE-UP BUILDINGS, no real data" if done.made_up else "public data"
+    print(f"\nPreset {done.preset}, {title}, {done.labels} labels, metres:")  # noqa: T201
+    _print_rows(done.rows, as_json=False)
+    for name, place in done.places.items():
+        hint = " (look at it with `make ui`)" if name == "MLflow" else ""
+        print(f"{name:>10}: {place}{hint}")  # noqa: T201
 
 
 def _database_url(options: Namespace) -> str:
@@ -808,9 +826,24 @@ def _run_completion(options: Namespace) -> None:
 
 
 def _fit(words: list[str]) -> int:
+    from contextlib import redirect_stdout
+
     from fploc.experiments.fit import fit_from_command_line
 
-    fit_from_command_line(words)
+    # All other words are Lightning's.
+    ours = argparse.ArgumentParser(prog="fploc fit", add_help=False, allow_abbrev=False, exit_on_error=False)
+    ours.add_argument("--json", nargs="?", const=PRINTED, choices=[PRINTED], default="")
+    options, kept = ours.parse_known_args(words)
+    as_json = bool(options.json)
+    # Lightning's bars and summaries are notes where JSON was asked for.
+    with redirect_stdout(sys.stderr if as_json else sys.stdout):
+        fitted = fit_from_command_line(kept)
+    if fitted is None:
+        return 0
+    if as_json:
+        _print({"artifact": fitted.artifact, "validation": dict(fitted.validation)}, as_json=True)
+    elif fitted.artifact is not None:
+        print(f"artifact: {fitted.artifact}")  # noqa: T201
     return 0
 
 

@@ -296,6 +296,14 @@ def test_a_made_up_building_is_written_packed_and_described(
     assert main(["made-up", "--seed", "7", "--out", "building"]) == 0
     said = capsys.readouterr().out
     assert "fploc data build --sites building/made-up-7.yaml" in said
+    assert main(["made-up", "--seed", "7", "--out", "again", "--json", "-"]) == 0
+    made_up = json.loads(capsys.readouterr().out)
+    assert (made_up["site"], made_up["seed"]) == ("again/made-up-7.yaml", 7)
+    there = sorted(
+        str(path.relative_to(tmp_path)) for path in (tmp_path / "again").rglob("*") if path.is_file()
+    )
+    assert made_up["files"] == there and made_up["site"] in there
+    shutil.rmtree("again")
     assert main(["data", "build", "--sites", "building/made-up-7.yaml", "--json"]) == 0
     (row,) = json.loads(capsys.readouterr().out)
     assert (row["site"], row["state"]) == ("made-up-7", "built")

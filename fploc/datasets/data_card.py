@@ -183,6 +183,10 @@ def site_card(packed: PackedSite, description: SiteDescription, errors: LinkErro
     return Page(f"Data card: {packed.site.name}", lead, sections)
 
 
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
 def index_card(
     descriptions: Sequence[SiteDescription], manifests: Sequence[Mapping[str, Any]], links: str
 ) -> Page:
@@ -195,7 +199,7 @@ def index_card(
     """
     devices = [device for one in descriptions for device in one.devices]
     summary = Text(
-        f"{len(descriptions)} sites, {sum(one.recordings for one in devices)} recordings, "
+        f"{_counted(len(descriptions), 'site')}, {_counted(sum(one.recordings for one in devices), 'recording')}, "
         f"{sum(one.intervals for one in devices):,} intervals, {sum(one.readings for one in devices):,} readings, "
         f"{sum(one.duration_s for one in devices) / 3600:.1f} hours; schema version {SCHEMA_VERSION}."
     )

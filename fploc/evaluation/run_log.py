@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,7 +44,7 @@ class RunLog:
         with self._usable(), warnings.catch_warnings():
             # MLflow's own use of SQLAlchemy.
             warnings.simplefilter("ignore")
-            self._client = mlflow.MlflowClient(tracking_uri=self.uri)
+            self._client = mlflow.MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
             found = self._client.get_experiment_by_name(experiment)
             location = (folder / ARTIFACTS).resolve().as_uri()
             self._experiment = (
@@ -105,6 +105,36 @@ class RunLog:
         with self._usable():
             self._delete_earlier(name, tags)
         return MLFlowLogger(experiment_name=self._name, run_name=name, tracking_uri=self.uri, tags=dict(tags))
+
+    def register(self, model: str, folder: Path, *, tags: Mapping[str, str], identity: Sequence[str]) -> None:
+        """Make a folder a version of a registered model; nothing where a version has all these tags already.
+
+        Args:
+            model: Name of the registered model, made where there is none.
+            folder: What the version stands for; it stays where it is.
+            tags: Of the version.
+            identity: Tags that tell versions apart: an older one that is alike in them is deleted.
+        """
+        with self._usable():
+            if not self._client.search_registered_models(f"name = '{model}'"):
+                self._client.create_registered_model(model)
+            for version, found in self.versions(model).items():
+                if found == tags:
+                    return
+                if all(found.get(name) == tags[name] for name in identity):
+                    self._client.delete_model_version(model, version)
+            self._client.create_model_version(model, folder.resolve().as_uri(), tags=dict(tags))
+
+    def versions(self, model: str) -> dict[str, dict[str, str]]:
+        """Return the tags of each version of a registered model."""
+        with self._usable():
+            found = self._client.search_model_versions(f"name = '{model}'")
+            return {str(one.version): dict(one.tags) for one in found}
+
+    def name_version(self, model: str, alias: str, version: str) -> None:
+        """Give a version of a registered model a name of its own, which no other of its versions keeps."""
+        with self._usable():
+            self._client.set_registered_model_alias(model, alias, version)
 
     @contextmanager
     def _usable(self) -> Iterator[None]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import shlex
 import warnings
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
 
@@ -29,6 +29,7 @@ PRESET = "fit"
 RUNS = Path("runs")
 MEANING = (
     "Train one network: its best weights end in an artifact, with the offsets that they were trained behind. "
+    "--json prints JSON at the end. "
     "Example: fploc fit --config conf/experiment/gnn-office.yaml --trainer.max_epochs 20"
 )
 RAISING = {"exit_on_error": False}
@@ -50,11 +51,27 @@ class _FitCLI(LightningCLI):
             )
 
 
-def fit_from_command_line(words: Sequence[str]) -> None:
+@dataclass(frozen=True)
+class Fitted:
+    """What a training leaves behind.
+
+    Args:
+        artifact: Folder of the artifact; None where nothing is kept.
+        validation: What validation says of the weights kept, by metric.
+    """
+
+    artifact: Path | None
+    validation: Mapping[str, float]
+
+
+def fit_from_command_line(words: Sequence[str]) -> Fitted | None:
     """Train what the words of a command line describe; see ``fploc fit --help``.
 
     The weights that were best in validation end in an artifact below ``trainer.default_root_dir``, with the
-    range offsets that they were trained behind; its folder is printed. ``fast_dev_run`` keeps nothing.
+    range offsets that they were trained behind. ``fast_dev_run`` keeps nothing.
+
+    Returns:
+        What was kept; None in a process that only trains along with the one that keeps it.
 
     Raises:
         MissingFileError: If a configuration file is not there.
@@ -79,13 +96,14 @@ def fit_from_command_line(words: Sequence[str]) -> None:
             args=["fit", *_resolved(words, Path(conf))],
         )
     trainer = cli.trainer
-    if cli.config["fit"]["trainer"]["fast_dev_run"]:
-        return
-    metrics = _validated_best(cli)
-    if trainer.is_global_zero:
-        made = _artifact(cli, metrics, command=shlex.join(["fploc", "fit", *words]))
-        folder = made.save(artifacts_folder(Path(trainer.default_root_dir)))
-        print(f"artifact: {folder}")  # noqa: T201
+    is_trial = bool(cli.config["fit"]["trainer"]["fast_dev_run"])
+    metrics = {} if is_trial else _validated_best(cli)
+    if not trainer.is_global_zero:
+        return None
+    if is_trial:
+        return Fitted(artifact=None, validation={})
+    made = _artifact(cli, metrics, command=shlex.join(["fploc", "fit", *words]))
+    return Fitted(made.save(artifacts_folder(Path(trainer.default_root_dir))), metrics)
 
 
 def _validated_best(cli: LightningCLI) -> dict[str, float]:

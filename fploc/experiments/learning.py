@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from fploc.artifacts import Artifact, ArtifactKey, load_artifact, offsets_of
 from fploc.datasets.packed import PackedSite
 from fploc.datasets.recordings import Recording
 from fploc.evaluation.protocols import Tested, protocol_of, validation_site
-from fploc.experiments.plan import SEEN, Learning
+from fploc.experiments.plan import LEARNED_METHODS, SEEN, Learning
 from fploc.experiments.preset import Preset
 from fploc.experiments.scoring import artifacts_folder, data_hash, reproduce_command
 from fploc.experiments.training import (
@@ -131,6 +131,13 @@ class Learner:
     def folder_of(self, method: str, learning: Learning) -> Path:
         """Return where the artifact of a method lies."""
         return self._key(method, learning).folder(self.artifacts)
+
+    def folders_of(self, learnings: Iterable[Learning]) -> dict[ArtifactKey, Path]:
+        """Return where the artifacts of these chains lie, and those of their generators, as far as they are there."""
+        keys = [self._key(method, one) for one in learnings for method in LEARNED_METHODS]
+        keys += [self._key(GENERATOR, Learning(SEEN, self.source, seed)) for seed in self.preset.seeds]
+        folders = {key: key.folder(self.artifacts) for key in keys}
+        return {key: folder for key, folder in folders.items() if folder.is_dir()}
 
     def data_hash(self, learning: Learning) -> str:
         """Return the hash of the data that a chain depends on."""

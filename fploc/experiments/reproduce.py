@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import logging
 import re
-import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -43,6 +42,7 @@ from fploc.experiments.plan import (
     without_lonely,
 )
 from fploc.experiments.preset import Preset, read_preset
+from fploc.experiments.registered_models import register_models
 from fploc.experiments.reporting import FACTS, FIGURES, PAGE, RECORDS, Report
 from fploc.experiments.scoring import PLANS, Scored, scored
 from fploc.experiments.stages import Stage, StageBook
@@ -52,7 +52,6 @@ from fploc.experiments.training import Loggers
 from fploc.experiments.world import World, prepare_world
 from fploc.localizer import Track
 from fploc.plots.results import plot_cdf, plot_tracks
-from fploc.progress import print_table
 
 EXPERIMENT = "fploc"
 STAGES = "stages"
@@ -341,6 +340,7 @@ class Reproduction:
             [self._match_file(site) for site in self._synthesized()],
         )
         record_overviews(read_tracked_records(self.folder / RECORDS), self.preset.name, self.runs)
+        register_models(self.log, self.learner.folders_of(self.learnings), made_up=self.world.made_up)
 
     def _synthesized(self) -> list[str]:
         """Return the sites that the generator's maps are drawn of."""
@@ -373,6 +373,25 @@ class Reproduction:
         }
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """What a reproduction ends in.
+
+    Args:
+        preset: Its name.
+        made_up: True where all of it stands on made-up buildings.
+        labels: Kind of labels that ``rows`` are measured against.
+        rows: The comparison of methods, as printed.
+        places: Where results, records, figures, artifacts and the run log lie.
+    """
+
+    preset: str
+    made_up: bool
+    labels: str
+    rows: Sequence[Mapping[str, str]]
+    places: Mapping[str, str]
+
+
 def reproduce(
     preset_name: str,
     data_root: Path,
@@ -380,8 +399,8 @@ def reproduce(
     runs: Path,
     targets: Sequence[str] | None,
     workers: int,
-) -> None:
-    """Run every stage of a preset that is not done yet, print the comparison and where everything lies.
+) -> Outcome:
+    """Run every stage of a preset that is not done yet.
 
     Args:
         preset_name: ``smoke``, ``default``, ``full``, ``published`` or ``paper``.
@@ -390,6 +409,9 @@ def reproduce(
         runs: Folder of everything written.
         targets: Sites to test on instead of the preset's; None keeps these.
         workers: Processes that stages run in side by side; 1 runs them here one after the other.
+
+    Returns:
+        The comparison, and where everything lies.
 
     Raises:
         FplocError: For any bad input.
@@ -411,18 +433,19 @@ def reproduce(
         run_by_name = partial(run_stage, preset, world, targets, data_root, runs)
         book.run_side_by_side(stages, workers, run_by_name)
     tracked = read_tracked_records(reproduction.folder / RECORDS)
-    title = "MADE-UP BUILDINGS, no real data" if world.made_up else "public data"
-    print(f"\nPreset {preset.name}, {title}, {FIGURE_LABELS} labels, metres:")  # noqa: T201
-    print_table(comparison_rows(headline_records(tracked), labels=FIGURE_LABELS))
-    for name, path in {
-        "results": reproduction.folder / PAGE,
-        "records": reproduction.folder / RECORDS,
-        "figures": reproduction.folder / FIGURES,
-        "artifacts": reproduction.learner.artifacts / preset.name,
-        "MLflow": f"{reproduction.log.uri} (look at it with `make ui`)",
-    }.items():
-        print(f"{name:>10}: {path}")  # noqa: T201
-    sys.stdout.flush()
+    return Outcome(
+        preset=preset.name,
+        made_up=world.made_up,
+        labels=FIGURE_LABELS,
+        rows=comparison_rows(headline_records(tracked), labels=FIGURE_LABELS),
+        places={
+            "results": str(reproduction.folder / PAGE),
+            "records": str(reproduction.folder / RECORDS),
+            "figures": str(reproduction.folder / FIGURES),
+            "artifacts": str(reproduction.learner.artifacts / preset.name),
+            "MLflow": reproduction.log.uri,
+        },
+    )
 
 
 def run_stage(

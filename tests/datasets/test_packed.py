@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fploc.datasets.packed import PackedSite, read_packed
+from fploc.datasets.packed import PackedSite, packed_sites, read_packed
 from fploc.errors import BadFileError, HashMismatchError, MissingFileError
 from fploc.schema import TABLES
 from fploc.sites.registry import known_sites
@@ -61,6 +61,16 @@ def test_readable_with_pandas_alone(data_root: Path) -> None:
 def test_missing_site_names_the_command(tmp_path: Path) -> None:
     with pytest.raises(MissingFileError, match="`fploc data build`"):
         read_packed(tmp_path, "library")
+
+
+def test_packed_sites_are_listed_by_name_and_folders_of_other_things_are_not(tmp_path: Path) -> None:
+    for name in ("mall", "attic"):
+        (tmp_path / "packed" / name).mkdir(parents=True)
+        (tmp_path / "packed" / name / "manifest.json").write_text("{}")
+    (tmp_path / "packed" / "half-built").mkdir()
+    assert packed_sites(tmp_path) == ["attic", "mall"]
+    with pytest.raises(MissingFileError, match=r"packed sites.*`fploc data build`"):
+        packed_sites(tmp_path / "packed")
 
 
 @pytest.mark.parametrize("name", ["readings.parquet", "splits.json", "plan.png"])

@@ -91,6 +91,22 @@ def test_a_training_leaves_an_artifact_with_its_calibration_and_says_where(
     assert artifact.command == "fploc " + " ".join(asked)
 
 
+@pytest.mark.parametrize("asked_for", [["--json"], ["--json", "-"], ["--json=-"]], ids=" ".join)
+def test_json_is_all_that_is_printed(
+    data_root: Path, capsys: pytest.CaptureFixture[str], asked_for: list[str]
+) -> None:
+    assert main(words("gnn-office", data_root, *SHORT, "--trainer.max_epochs=1", *asked_for)) == 0
+    done = json.loads(capsys.readouterr().out)
+    assert done["artifact"] == "runs/fit/artifacts/fit/seen/office/gnn/seed-0"
+    artifact = kept(data_root, "gnn")
+    assert done["validation"] == artifact.constants["validation"] and "--json" not in artifact.command
+
+
+def test_json_of_a_training_that_keeps_nothing(data_root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words("gnn-office", data_root, "--trainer.fast_dev_run=1", "--json")) == 0
+    assert json.loads(capsys.readouterr().out) == {"artifact": None, "validation": {}}
+
+
 def test_the_artifact_holds_the_weights_that_were_best_in_validation(data_root: Path) -> None:
     assert main(words("gnn-office", data_root, *SHORT)) == 0
     (best,) = Path("runs/fit").rglob("*.ckpt")

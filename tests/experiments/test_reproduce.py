@@ -64,7 +64,7 @@ class Calls:
         return self.root / "runs" / "smoke-made-up"
 
 
-def call(root: Path) -> Call:
+def call(root: Path, *more: str) -> Call:
     out, err = io.StringIO(), io.StringIO()
     words = [
         "reproduce",
@@ -74,6 +74,7 @@ def call(root: Path) -> Call:
         str(root / "data"),
         "--runs",
         str(root / "runs"),
+        *more,
     ]
     with redirect_stdout(out), redirect_stderr(err):
         code = main(words)
@@ -171,6 +172,16 @@ def test_the_table_and_the_places_of_everything_are_printed(calls: Calls) -> Non
     assert f"sqlite:///{calls.root / 'runs' / 'mlflow.db'}" in calls.again.out
 
 
+def test_json_holds_the_table_and_the_places_and_nothing_else_is_printed(calls: Calls) -> None:
+    done = json.loads(call(calls.root, "--json").out)
+    assert (done["preset"], done["made_up"], done["labels"]) == ("smoke", True, "repaired")
+    lines = [" ".join(line.split()) for line in calls.again.out.splitlines()]
+    assert done["rows"] and all(" ".join(row.values()) in lines for row in done["rows"])
+    assert done["places"].keys() == {"results", "records", "figures", "artifacts", "MLflow"}
+    assert all(Path(place).exists() for name, place in done["places"].items() if name != "MLflow")
+    assert done["places"]["MLflow"] == f"sqlite:///{calls.root / 'runs' / 'mlflow.db'}"
+
+
 def test_everything_made_from_made_up_buildings_says_so(calls: Calls) -> None:
     page = (calls.folder / "results.md").read_text()
     assert "**Made-up buildings.**" in page and "## The paper's own numbers" not in page
@@ -252,6 +263,19 @@ def test_trainings_log_their_curves(calls: Calls) -> None:
     trainings = [run for run in tracked(calls) if run.data.tags["kind"] == "training"]
     assert len(trainings) == 5, "the generator, then GNN and FPDNN for the source and for the target"
     assert all(any(name.startswith("val/") for name in run.data.metrics) for run in trainings)
+
+
+def test_every_artifact_is_a_version_of_its_methods_registered_model(calls: Calls) -> None:
+    uri = f"sqlite:///{calls.root / 'runs' / 'mlflow.db'}"
+    client = mlflow.MlflowClient(tracking_uri=uri, registry_uri=uri)
+    registered = {model.name: dict(model.aliases) for model in client.search_registered_models()}
+    assert set(registered) == {"generator, made-up", "gnn, made-up", "gnn-fpdnn, made-up"}
+    folders = {Path(one.source.removeprefix("file://")) for one in client.search_model_versions()}
+    assert folders == {file.parent for file in (calls.root / "runs" / "artifacts").rglob("artifact.json")}
+    assert registered["generator, made-up"] == {}
+    for name in ("gnn, made-up", "gnn-fpdnn, made-up"):
+        champion = client.get_model_version_by_alias(name, "champion")
+        assert (champion.tags["protocol"], champion.tags["target"]) == ("zero-shot", "made-up-2")
 
 
 def test_a_stage_with_a_lost_output_is_done_again_and_what_takes_its_result(calls: Calls) -> None:

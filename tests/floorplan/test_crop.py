@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from fploc.floorplan.crop import Crops, crop_links, ink_of, soften
+from fploc.floorplan.crop import Crops, crop_links, crop_softened_links, ink_of, soften
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
 
@@ -152,3 +152,32 @@ def test_no_links() -> None:
     crops = crop(drawing(), torch.empty(0, 2), torch.empty(0, 2))
     assert crops.images.shape == (0, 1, 80, 320)
     assert crops.mask.shape == (0, 320)
+
+
+def test_a_crop_is_4_m_wide_where_nothing_else_is_asked_for() -> None:
+    ends = torch.tensor([[4.0, 5.0]]), torch.tensor([[14.0, 5.0]])
+    crops = crop_links(drawing(), MATRIX, *ends, pixels_per_metre=20.0, length_px=320)
+    torch.testing.assert_close(crops.images, crop(drawing(), *ends).images)
+    same = crop_softened_links(drawing(), MATRIX, *ends, pixels_per_metre=20.0, length_px=320)
+    torch.testing.assert_close(same.images, crops.images)
+
+
+def test_crops_have_the_type_of_the_drawing() -> None:
+    double = crop(drawing().double(), [[4.0, 5.0]], [[14.0, 5.0]])
+    assert double.images.dtype == torch.float64
+    single = crop(drawing(), [[4.0, 5.0]], [[14.0, 5.0]])
+    torch.testing.assert_close(double.images.float(), single.images, atol=1e-4, rtol=0)
+
+
+def test_ink_runs_from_0_where_free_to_1_where_black() -> None:
+    grey = np.array([[0, 51, 255]], np.uint8)
+    ink = ink_of(FloorPlan("grey", grey, grey < 200, GEOREFERENCE))
+    torch.testing.assert_close(ink, torch.tensor([[1.0, 0.8, 0.0]]))
+
+
+def test_a_link_without_length_looks_along_x() -> None:
+    # The wall ends 4 cm to the right: one column, as of a link of one pixel that way.
+    (at,) = crop(drawing(), [[10.16, 5.0]], [[10.16, 5.0]]).images
+    (right,) = crop(drawing(), [[10.16, 5.0]], [[10.21, 5.0]]).images
+    torch.testing.assert_close(at, right)
+    assert at[..., 0].min() > 0.5 and at[..., 1:].max() == 0.0

@@ -86,3 +86,12 @@ def test_matrix_without_an_inverse(matrix: list) -> None:
 def test_raster_without_a_scale() -> None:
     with pytest.raises(FplocError, match="metres_per_pixel"):
         Georeference.of_raster((0, 0), 0.0)
+
+
+def test_nobody_can_change_the_matrix_of_a_georeference() -> None:
+    matrix = np.array([[20.0, 0.0, 0.0], [0.0, -20.0, 100.0]])
+    georeference = Georeference(matrix)
+    with pytest.raises(ValueError, match="read-only"):
+        georeference.pixels_from_metres[0, 0] = 1.0
+    matrix[0, 0] = 1.0
+    assert georeference.pixels_per_metre == pytest.approx(20.0)

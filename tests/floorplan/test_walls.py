@@ -131,6 +131,46 @@ class TestRender:
         assert not plan.walls[100].any()
         assert plan.walls[:, 200].any()
 
+    @pytest.mark.parametrize(
+        ("thinnest_wall_m", "horizontal", "vertical"),
+        [(0.05, True, True), (0.1, True, True), (0.2, True, False), (0.25, False, False)],
+    )
+    def test_only_lines_thinner_than_asked_for_are_dropped(
+        self, tmp_path: Path, thinnest_wall_m: float, horizontal: bool, vertical: bool
+    ) -> None:
+        plan = self.render(self.native(tmp_path), thinnest_wall_m=thinnest_wall_m)
+        # The line at y = 2 is 0.2 m thick, the one at x = 3 is 0.1 m.
+        assert (plan.walls[:, 200].sum(), plan.walls[100].sum()) == (4 * horizontal, 2 * vertical)
+
+    def test_a_box_from_the_corner_and_its_edges(self, tmp_path: Path) -> None:
+        image = np.zeros((40, 40), np.uint8)
+        write_grey_image(tmp_path / "black.png", image)
+        plan = self.render(
+            tmp_path / "black.png",
+            native_from_metres=Georeference.of_raster((0.0, 2.0), 0.05),
+            origin_m=(0.0, 2.0),
+            size_px=(40, 40),
+            blank_boxes_px=[[0, 0, 10, 5], [30, 35, 40, 40]],
+        )
+        expected = np.ones((40, 40), dtype=bool)
+        expected[:5, :10] = expected[35:, 30:] = False
+        np.testing.assert_array_equal(plan.walls, expected)
+        assert plan.name == "black"
+
+    def test_beyond_the_image_is_free(self, tmp_path: Path) -> None:
+        write_grey_image(tmp_path / "black.png", np.zeros((40, 40), np.uint8))
+        plan = self.render(
+            tmp_path / "black.png",
+            native_from_metres=Georeference.of_raster((0.0, 2.0), 0.05),
+            origin_m=(-1.0, 3.0),
+            size_px=(80, 80),
+            name="larger",
+        )
+        expected = np.zeros((80, 80), dtype=bool)
+        expected[20:60, 20:60] = True
+        np.testing.assert_array_equal(plan.walls, expected)
+        assert plan.name == "larger"
+
     def test_bad_input(self, tmp_path: Path) -> None:
         path = self.native(tmp_path)
         with pytest.raises(FplocError, match="box to blank"):
@@ -184,6 +224,31 @@ class TestCrossings:
         assert crossings.count.tolist() == [1, 0]
         assert crossings.thickness_m.tolist() == [0, 0]
 
+    def test_a_wall_of_one_pixel_is_never_stepped_over(self) -> None:
+        plan = drawn([(9, 0, 9.05, 10)])
+        rng = np.random.default_rng(2)
+        starts, ends = rng.uniform([0, 0], [8.9, 10], (500, 2)), rng.uniform([9.1, 0], [20, 10], (500, 2))
+        assert (wall_crossings(plan, starts, ends).count == 1).all()
+
+    @pytest.mark.parametrize("turned", [False, True])
+    def test_a_wall_begins_and_ends_at_its_faces(self, turned: bool) -> None:
+        # One wall along y from x = 9 to 9.2 m, or one along x from y = 5 to 5.2 m.
+        plan = drawn([(0, 5, 20, 5.2) if turned else (9, 0, 9.2, 10)])
+        low, high = (5.0, 5.2) if turned else (9.0, 9.2)
+        across = np.array([[low - 1.0, low - 0.01], [low - 1.0, low + 0.04], [high + 0.01, high + 1.0]])
+        across = np.vstack([across, [high - 0.04, high + 1.0]])
+        along = np.full_like(across, 3.0)
+        points = np.stack([along, across] if turned else [across, along], axis=-1)
+        assert wall_crossings(plan, points[:, 0], points[:, 1]).count.tolist() == [0, 1, 0, 1]
+
+    def test_nothing_beyond_the_plan_is_a_wall(self) -> None:
+        # A wall along every edge of the sheet, met from inside and never from outside.
+        plan = drawn([(0, 0, 20, 0.05), (0, 9.95, 20, 10), (0, 0, 0.05, 10), (19.95, 0, 20, 10)])
+        starts = [[-1, -0.03], [-1, 10.03], [-0.03, -1], [20.03, -1], [-5, 30]]
+        ends = [[21, -0.03], [21, 10.03], [-0.03, 11], [20.03, 11], [25, 30]]
+        assert wall_crossings(plan, starts, ends).count.tolist() == [0] * 5
+        assert wall_crossings(plan, [[-1, 5], [10, -1]], [[21, 5], [10, 11]]).count.tolist() == [2, 2]
+
     def test_line_of_sight(self) -> None:
         starts, ends = [[1, 2], [1, 2], [5.1, 5]], [[4, 9], [7, 2], [8, 5]]
         assert line_of_sight(self.plan, starts, ends).tolist() == [True, False, False]
@@ -230,3 +295,50 @@ class TestFreeSpace:
         plan = drawn([(0, 0, 20, 10)])
         with pytest.raises(FplocError, match="no cell"):
             free_space(plan, [[5, 5]])
+
+    def test_cells_are_free_from_the_clearance_on(self) -> None:
+        # Cell centres lie 0.025, 0.075, … m from the face of the wall; all of the strip is within the margin.
+        plan = drawn([(0, 0, 20, 0.5), (0, 9.5, 20, 10), (0, 0, 0.5, 10), (19.5, 0, 20, 10)])
+        cells = free_space(plan, [[10, 5]], clearance_m=0.3, margin_m=20.0)
+        expected = np.zeros_like(cells)
+        expected[16:-16, 16:-16] = True
+        np.testing.assert_array_equal(cells, expected)
+        exactly = free_space(plan, [[10, 5]], clearance_m=5.5 / 20, margin_m=20.0)
+        expected[15:-15, 15:-15] = True
+        np.testing.assert_array_equal(exactly, expected)
+        np.testing.assert_array_equal(free_space(plan, [[10, 5]], margin_m=20.0), cells)
+
+    def test_the_box_reaches_as_far_as_the_margin(self) -> None:
+        plan = drawn([(0, 0, 40, 0.2)], width_m=40, height_m=40)
+        cells = free_space(plan, [[18, 20], [20, 21]], margin_m=3.0)
+        height, width = cells.shape
+        x_m, y_m = np.moveaxis(
+            plan.georeference.to_metres(np.stack(np.meshgrid(np.arange(width), np.arange(height)), -1)), -1, 0
+        )
+        np.testing.assert_array_equal(cells, (abs(x_m - 19) <= 4) & (abs(y_m - 20.5) <= 3.5))
+
+    @pytest.mark.parametrize(("entrance_m", "is_indoors"), [(2.8, True), (3.2, False)])
+    def test_outdoors_comes_in_through_what_is_3_m_wide(self, entrance_m: float, is_indoors: bool) -> None:
+        # Two rooms; the right one opens to the outside. Most access points hang in the closed one.
+        walls = [(2, 1, 18, 1.2), (2, 8.8, 18, 9), (2, 1, 2.2, 9), (9.9, 1, 10.1, 4.5), (9.9, 5.5, 10.1, 9)]
+        low = 5 - entrance_m / 2
+        walls += [(17.8, 1, 18, low), (17.8, low + entrance_m, 18, 9)]
+        cells = free_space(drawn(walls), [[3, 3], [4, 7], [8, 4], [16, 5]])
+        assert self.at(drawn(walls), cells, 5, 5)
+        assert self.at(drawn(walls), cells, 16, 5) is is_indoors
+
+    @pytest.mark.parametrize("side", [[1, 0], [-1, 0], [0, 1], [0, -1]])
+    def test_a_seed_stands_for_floor_up_to_one_and_a_half_metres_away(self, side: list[int]) -> None:
+        # All wall but a room of 2 m × 2 m around (10, 5), of which cells 0.3 m from its walls are free.
+        plan = drawn([(0, 0, 20, 4), (0, 6, 20, 10), (0, 4, 9, 6), (11, 4, 20, 6)])
+        near, far = (np.add([10.0, 5.0], np.multiply(side, 0.7 + away)) for away in (1.4, 1.6))
+        assert free_space(plan, [near]).any()
+        with pytest.raises(FplocError, match="no cell"):
+            free_space(plan, [far])
+
+    def test_rooms_that_touch_at_a_corner_are_not_joined(self) -> None:
+        # At 0 m of clearance two rooms of free cells meet at one corner of a cell.
+        walls = [(0, 0, 20, 1), (0, 9, 20, 10), (0, 0, 1, 10), (19, 0, 20, 10), (1, 1, 10, 5), (10, 5, 19, 9)]
+        cells = free_space(drawn(walls), [[5, 7]], clearance_m=0.0)
+        assert self.at(drawn(walls), cells, 5, 7)
+        assert not self.at(drawn(walls), cells, 15, 3)

@@ -8,7 +8,15 @@ import pytest
 from fploc.datasets.packed import PackedSite, read_packed
 from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError, UnknownNameError
-from fploc.repair.labels import Labels, corner_times, delayed_lap, moved_seam, repair_labels, stretched_leg
+from fploc.repair.labels import (
+    Labels,
+    corner_times,
+    delayed_lap,
+    moved_seam,
+    repair_labels,
+    shift,
+    stretched_leg,
+)
 from fploc.sites.registry import RepairSpec, load_spec
 
 SEAM = load_spec("office").repairs["seam"]
@@ -85,6 +93,12 @@ def test_corner_times_pass_every_corner_on_time() -> None:
         turns_s={"lap": [10, 30, 40, 50]},
     )
     np.testing.assert_allclose(repaired.positions_m, [[0, 0], [0, 4], [2, 4], [8, 4], [0, 0]])
+
+
+def test_shifted_labels_all_move_by_one_vector() -> None:
+    moved = shift(labels_of([[1.0, 2.0], [np.nan, np.nan], [-3.0, 0.5]]), x_m=0.25, y_m=-1.0)
+    np.testing.assert_array_equal(moved.positions_m, [[1.25, 1.0], [np.nan, np.nan], [-2.75, -0.5]])
+    assert moved.keep.all() and moved.recording == "lap"
 
 
 def test_bad_constants_are_named() -> None:

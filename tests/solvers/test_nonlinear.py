@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from fploc.intervals import Estimate, NoFix
 from fploc.solvers.losses import SquaredLoss
-from fploc.solvers.nonlinear import NonlinearSettings, solve_nonlinear
+from fploc.solvers.nonlinear import NonlinearSettings, solve_near, solve_nonlinear
 from fploc.solvers.planar import spread_ratios
 
 SQUARE = torch.tensor([[0.0, 0.0], [20.0, 0.0], [20.0, 15.0], [0.0, 15.0], [9.0, 7.0]], dtype=torch.float64)
@@ -167,3 +167,41 @@ def test_squared_loss_has_the_weight_of_its_slope() -> None:
     scaled = torch.linspace(-3, 3, 7, dtype=torch.float64, requires_grad=True)
     slope = torch.autograd.grad(SquaredLoss().value(scaled).sum(), scaled)[0]
     torch.testing.assert_close(SquaredLoss().weight(scaled) * scaled, slope)
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+def test_residuals_beyond_the_sigmas_widen_the_covariance(count: int) -> None:
+    heard = (torch.arange(len(SQUARE)) < count)[None]
+    ranges = true_ranges(torch.tensor([[3.0, 4.0]], dtype=torch.float64))
+    ranges = ranges + torch.tensor([1.3, -0.9, 0.8, -1.1, 0.7], dtype=torch.float64)
+    sigmas = torch.tensor([[0.1, 0.2, 0.15, 0.1, 0.3]], dtype=torch.float64)
+    found = solve_nonlinear(ranges, SQUARE, sigmas, heard)
+    away = found.positions - SQUARE[:count]
+    distances = away.norm(dim=-1)
+    rows = away / distances[:, None] / sigmas[0, :count, None]
+    residuals = (distances - ranges[0, :count]) / sigmas[0, :count]
+    scale = residuals.square().sum() / max(count - 2, 1)
+    assert scale > 1.0
+    torch.testing.assert_close(
+        found.covariances[0], scale * torch.linalg.inv(rows.T @ rows), rtol=1e-6, atol=0
+    )
+
+
+def test_near_a_start_the_minimum_on_its_side_is_found() -> None:
+    # Access points on a line: a place and its mirror image fit alike.
+    line = torch.tensor([[0.0, 0.0], [10.0, 0.0], [5.0, 0.0]], dtype=torch.float64)
+    sides = torch.tensor([[4.0, 3.0], [4.0, -3.0]], dtype=torch.float64)
+    ranges = true_ranges(sides, line)
+    heard, sigmas = torch.ones_like(ranges, dtype=torch.bool), torch.ones_like(ranges)
+    unguarded = NonlinearSettings(smallest_spread_ratio=0.0)
+    for order in ([0, 1], [1, 0]):
+        starts = sides[order] + 0.7
+        found = solve_near(ranges, line, sigmas, heard, starts=starts, settings=unguarded)
+        torch.testing.assert_close(found.positions, sides[order], atol=1e-6, rtol=0)
+    guarded = solve_near(ranges, line, sigmas, heard, starts=sides)
+    assert guarded.reasons.tolist() == [NoFix.DEGENERATE_GEOMETRY] * 2
+    ranges[:, 2] = torch.nan
+    fewer = heard & torch.tensor([True, True, False])
+    assert (
+        solve_near(ranges, line, sigmas, fewer, starts=sides).reasons.tolist() == [NoFix.TOO_FEW_RANGES] * 2
+    )
