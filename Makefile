@@ -7,6 +7,7 @@ PRESET ?= default
 DATA ?= $(or $(FPLOC_DATA),data)
 RUNS ?= runs
 WORKERS ?= 2
+ZERO_SHOT_SITES := shopping-mall laboratory library conference-room
 MODEL_SITES := office,office-position1,office-position2,conference-room,laboratory,library,shopping-mall
 
 # Small batches on few cores: one thread each is faster than threads that wait for each other spinning.
@@ -62,6 +63,10 @@ model: install ## Train the default method: what ships, and without each place (
 results: install ## Write docs/results.md from finished runs of the presets full and published
 	@$(BIN)/python benchmarks/virtual_stream.py --data-root $(DATA) --json > $(RUNS)/virtual-stream.json
 	@$(BIN)/fploc bench --site shopping-mall --preset full --data-root $(DATA) --runs $(RUNS) --json > $(RUNS)/bench.json
+	@$(BIN)/python benchmarks/plan_worth.py --data-root $(DATA) --json > $(RUNS)/plan-worth.json
+	@for site in $(ZERO_SHOT_SITES); do $(BIN)/fploc evaluate --method default --protocol zero-shot --site $$site \
+	  --labels repaired --smoother --data-root $(DATA) --json $(RUNS)/offline-$$site.jsonl > /dev/null || exit 1; done
+	@cat $(ZERO_SHOT_SITES:%=$(RUNS)/offline-%.jsonl) > $(RUNS)/offline.jsonl
 	@$(BIN)/python -m fploc.experiments.results_docs $(RUNS) docs
 
 describe: install ## Count what the packed sites hold and write their data cards

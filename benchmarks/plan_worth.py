@@ -51,7 +51,7 @@ def displaced(plan: FloorPlan, about_m: tuple[float, float], matrix: Sequence[Se
 
 
 def plans(packed: PackedSite, data_root: Path) -> dict[str, FloorPlan]:
-    """Return every plan to try at a site, by what is done to it."""
+    """Return every plan to try at a site, by what is done to it; the library lends its plan."""
     about = tuple(packed.site.positions_m.mean(axis=0).tolist())
     cosine, sine = math.cos(TURN), math.sin(TURN)
     changes = {
@@ -68,7 +68,7 @@ def plans(packed: PackedSite, data_root: Path) -> dict[str, FloorPlan]:
     return {
         "real": packed.plan,
         "blank": packed.plan.blank(),
-        f"of another site ({lent})": chosen_plan(lent, packed, data_root),
+        "of another site": chosen_plan(lent, packed, data_root),
         **{name: displaced(packed.plan, about, change) for name, change in changes.items()},
     }
 

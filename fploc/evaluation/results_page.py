@@ -8,6 +8,8 @@ Facts are what records cannot hold, as plain JSON values; every key may be missi
 - ``differences``, ``against_best`` and ``recordings``: rows of ``fploc.evaluation.certainty`` with ``protocol``
   and ``site``;
 - ``timings``: rows of ``fploc bench``;
+- ``offline``: records of ``fploc evaluate --smoother``, as JSON;
+- ``plan_worth``: rows of benchmarks/plan_worth.py;
 - ``load_curve``: rows of ``curve`` in docs/load.json (``make soak``);
 - ``training_cost``: rows of ``stage``, ``seconds`` and, where known, ``links``, ``preset`` and ``commit``;
 - ``virtual_rates``: links per second by name of the networks;
@@ -36,7 +38,7 @@ from fploc.evaluation.relative_figures import (
     tuning_rows,
 )
 from fploc.evaluation.report import REAL_PLAN, SHARED_FLOOR, variant_of
-from fploc.evaluation.selection import UNFILTERED, RecordBook, Slot
+from fploc.evaluation.selection import OWN, UNFILTERED, RecordBook, Slot
 from fploc.evaluation.study_tables import study_sections
 from fploc.evaluation.tables import UNKNOWN, mean_text
 
@@ -87,6 +89,8 @@ def results_page(records: Sequence[TrackedRecord], facts: Facts, *, preset: str 
         "Stage by stage": _stages(facts),
         "What the plan is worth": _plans(book),
         "Ablations": _ablations(book, facts),
+        "What plan, survey and parts are worth to the default": _parts(facts),
+        "Offline": _offline(facts),
         "Generated and measured data": _generator(facts),
         "Published widths": _published_widths(records),
         "Complexity": _complexity(book, facts),
@@ -320,6 +324,50 @@ def _ablations(book: RecordBook, facts: Facts) -> str:
     )
     not_run = f"\nNot run: {', '.join(missing)}.\n" if missing and found else ""
     return f"{text}{markdown_grid(rows) if found else _not_run()}{not_run}"
+
+
+def _parts(facts: Facts) -> str:
+    rows = facts.get("plan_worth", ())
+    cells = {(row["what"], row["changed"], row["site"]): _both_devices(row) for row in rows}
+    sites = dict.fromkeys(row["site"] for row in rows)
+    table = [
+        {
+            "what": what,
+            "changed": changed,
+            **{site: cells.get((what, changed, site), UNKNOWN) for site in sites},
+        }
+        for what, changed in dict.fromkeys((row["what"], row["changed"]) for row in rows)
+    ]
+    return (
+        "RMSE of `default` as it ships for zero-shot, device 1 / 2, m, own filter, repaired labels, every tenth "
+        "interval at its own time (benchmarks/plan_worth.py). Plans are moved, scaled and turned under the access "
+        "points, access points are moved under the plan; parts are taken away without training again.\n\n"
+        + (markdown_grid(table) or _not_run())
+    )
+
+
+def _both_devices(row: Mapping[str, str]) -> str:
+    return "/".join(row[f"device {device}, RMSE [m]"] for device in (1, 2))
+
+
+def _offline(facts: Facts) -> str:
+    rows = [
+        {
+            "site": record["site"],
+            "device": str(record["device"]),
+            "RMSE [m]": _plain(record["rmse_m"]),
+            "90 % [m]": _plain(record["p90_m"]),
+            "in the stated 95 % region": f"{100 * record['coverage95']:.0f} %",
+            "NEES": _plain(record["nees"]),
+        }
+        for record in facts.get("offline", ())
+        if record["filter"] == OWN
+    ]
+    return (
+        "`default` for zero-shot with every recording known to its end (`fploc evaluate --method default "
+        "--smoother`), its own smoother, repaired labels, every interval. Nothing else on this page looks ahead.\n\n"
+        + (markdown_grid(rows) or _not_run())
+    )
 
 
 def _generator(facts: Facts) -> str:

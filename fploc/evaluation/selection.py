@@ -11,9 +11,10 @@ from fploc.evaluation.records import Record, TrackedRecord
 from fploc.evaluation.report import REAL_PLAN, variant_of
 from fploc.evaluation.tables import mean_text
 
-FILTERED = ("kalman", "own")
+OWN = "own"
+FILTERED = ("kalman", OWN)
 """Behind the Kalman filter, or the method's own where it is one."""
-UNFILTERED = ("none", "own")
+UNFILTERED = ("none", OWN)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from fploc.files import whole
 
 BASE, WIDE = "full", "published"
 RATES, TIMINGS = "virtual-stream.json", "bench.json"
+PLAN_WORTH, OFFLINE = "plan-worth.json", "offline.jsonl"
 LOAD = "load.json"
 """In docs already: soak/load_page.py writes it."""
 DOCUMENT = "results"
@@ -36,6 +37,11 @@ def update_docs(runs: Path, docs: Path) -> Path:
     costs = [row | {"preset": name} for name, own in facts.items() for row in own["training_cost"]]
     joined = facts[BASE] | {"training_cost": costs, "virtual_rates": _rates(runs / RATES)}
     joined["timings"] = _rows(runs / TIMINGS)
+    joined["plan_worth"] = _rows(runs / PLAN_WORTH)
+    offline = runs / OFFLINE
+    joined["offline"] = (
+        [one.record.as_json() for one in read_tracked_records(offline)] if offline.is_file() else []
+    )
     write_records(records, docs / f"{DOCUMENT}.jsonl")
     _write(docs / f"{DOCUMENT}-facts.json", json.dumps(joined, indent=1) + "\n")
     page = docs / f"{DOCUMENT}.md"

@@ -23,7 +23,7 @@ def rows(text: str) -> list[list[str]]:
 def test_a_page_without_anything_has_every_section_and_says_what_was_not_run() -> None:
     page = results_page([], {})
     titles = re.findall(r"^## (.+)$", page, re.MULTILINE)
-    assert len(titles) == len(set(titles)) == 19
+    assert len(titles) == len(set(titles)) == 21
     for title in (
         "Stage by stage",
         "What the plan is worth",
@@ -167,6 +167,14 @@ STATISTICS = dict.fromkeys(
     ),
     0.5,
 )  # fmt: skip
+WORTH = {
+    "site": "shopping-mall", "what": "plan", "changed": "blank",
+    "device 1, RMSE [m]": "0.51", "device 2, RMSE [m]": "0.92",
+}  # fmt: skip
+OFFLINE = {
+    "site": "library", "device": 1, "filter": "own", "rmse_m": 0.591, "p90_m": 0.97, "coverage95": 0.954,
+    "nees": 1.23,
+}  # fmt: skip
 LOADED = {
     "method": "nls", "devices": 100, "within_200_ms": 0.998, "latency_p50_ms": 24.2, "latency_p99_ms": 90.4,
     "age_p50_ms": 121.0, "accepted_fairness": 0.9991,
@@ -180,6 +188,12 @@ FACTS: dict[str, Any] = {
     "differences": [DIFFERENCE, DIFFERENCE | {"protocol": "seen", "site": "seen"}],
     "against_best": [DIFFERENCE | {"base": "bayes-grid"}],
     "timings": [{"method": "nls", "threads": 1, "batch": 64, "median_ms": 0.012, "p90_ms": 0.034}],
+    "plan_worth": [
+        WORTH,
+        WORTH | {"site": "library", "device 1, RMSE [m]": "0.70"},
+        WORTH | {"what": "part", "changed": "nobody walks"},
+    ],
+    "offline": [OFFLINE, OFFLINE | {"filter": "kalman", "rmse_m": 9.87}],
     "load_curve": [
         LOADED,
         LOADED | {"devices": 200, "within_200_ms": 0.5},
@@ -202,3 +216,17 @@ FACTS: dict[str, Any] = {
     "training_cost": [{"stage": "train--generator--seed-0", "seconds": 61.2}],
     "ablations": {},
 }  # fmt: skip
+
+
+def test_what_the_default_owes_to_plan_and_parts_has_a_column_for_each_site() -> None:
+    page = results_page([], FACTS)
+    section = page.split("## What plan, survey and parts are worth to the default")[1].split("\n## ")[0]
+    assert "| what | changed | shopping-mall | library |" in section
+    assert "| plan | blank | 0.51/0.92 | 0.70/0.92 |" in section
+    assert "| part | nobody walks | 0.51/0.92 | – |" in section
+
+
+def test_offline_shows_the_smoother_of_the_method_alone() -> None:
+    section = results_page([], FACTS).split("## Offline")[1].split("\n## ")[0]
+    assert "| library | 1 | 0.59 | 0.97 | 95 % | 1.23 |" in section
+    assert "9.87" not in section
