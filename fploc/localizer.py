@@ -77,6 +77,11 @@ class Track:
         """Device time, shape (T,), seconds."""
         return self.recording.t_s
 
+    @property
+    def once_filtered(self) -> Path:
+        """What a filter made: the method's own where it has one, since it needs none behind it."""
+        return self.unfiltered if self.own_filter or self.filtered is None else self.filtered
+
 
 @dataclass(frozen=True)
 class LocalizerState:

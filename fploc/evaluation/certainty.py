@@ -86,7 +86,8 @@ def rows_against_best(series: Mapping[str, Sequence[ErrorSeries]]) -> list[dict[
 def recording_rows(series: Mapping[str, Sequence[ErrorSeries]]) -> list[dict[str, Any]]:
     """Return RMSE with equal weights of recordings and with their arc length's, by device and method.
 
-    Errors behind the Kalman filter count; ``low_m`` and ``high_m`` are the best and the worst recording.
+    Errors behind a filter count, the method's own or the Kalman filter; ``low_m`` and ``high_m`` are the best
+    and the worst recording.
 
     Args:
         series: Errors of one place by method.

@@ -54,7 +54,7 @@ def error_series(track: Track, labels: str) -> ErrorSeries:
         arc_length_m=arc_length_m(truth),
         t_s=track.t_s,
         unfiltered_m=held_error_series_m(track.unfiltered, truth),
-        filtered_m=held_error_series_m(track.filtered or track.unfiltered, truth),
+        filtered_m=held_error_series_m(track.once_filtered, truth),
         fixed=track.unfiltered.fixed,
     )
 

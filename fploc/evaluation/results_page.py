@@ -121,7 +121,8 @@ Trained at revision {trained}; scored at revision {scored}.
 - {floor} lie on the office's floor: their walls were seen in training, and zero-shot says less there.
 - **Scores.** Metres; the last fix is held where an interval has none; the intervals of all recordings of a device
   count alike; causal, with one speed prior of 0.5 m/s. `KF`: Kalman filter; methods that filter by themselves stand
-  in the same tables. ± is the standard deviation over seeds; a number without it has one seed or needs no training.
+  in the same tables with their own filter and no other behind it. ± is the standard deviation over seeds; a number
+  without it has one seed or needs no training.
 - **Thinned.** The robot moves at 0.05 to 0.1 m/s. Keeping every tenth interval with the original time step makes it
   ten times as fast, which is nearer to a person and harder for every filter."""
 

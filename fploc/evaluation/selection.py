@@ -12,8 +12,8 @@ from fploc.evaluation.report import REAL_PLAN, variant_of
 from fploc.evaluation.tables import mean_text
 
 OWN = "own"
-FILTERED = ("kalman", OWN)
-"""Behind the Kalman filter, or the method's own where it is one."""
+FILTERED = (OWN, "kalman")
+"""The method's own filter, or the Kalman filter behind one that has none: nothing is filtered twice."""
 UNFILTERED = ("none", OWN)
 
 

@@ -31,7 +31,7 @@ from fploc.experiments.source_fit import fitted_on
 from fploc.files import whole
 from fploc.filters.kalman import KalmanSettings
 from fploc.localizer import localize
-from fploc.methods.interface import Filtering, SourceFitted
+from fploc.methods.interface import SourceFitted
 from fploc.methods.registry import made
 from fploc.progress import track
 
@@ -179,8 +179,7 @@ class _Runs:
         tracks = localize(method, self.packed.site, self.recordings, offsets, KalmanSettings())
         logarithms = []
         for one in tracks:
-            path = one.unfiltered if isinstance(method, Filtering) or one.filtered is None else one.filtered
-            rmse_m = score([path], [one.recording.labels_m(LABELS)]).rmse_m
+            rmse_m = score([one.once_filtered], [one.recording.labels_m(LABELS)]).rmse_m
             logarithms.append(math.log(rmse_m if math.isfinite(rmse_m) else NOTHING_FOUND_M))
         return float(np.mean(logarithms))
 
