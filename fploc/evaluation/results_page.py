@@ -365,8 +365,8 @@ def _offline(facts: Facts) -> str:
         if record["filter"] == OWN
     ]
     return (
-        "`default` for zero-shot with every recording known to its end (`fploc evaluate --method default "
-        "--smoother`), its own smoother, repaired labels, every interval. Nothing else on this page looks ahead.\n\n"
+        "`default` for zero-shot with every recording known to its end (`--smoother`), its own smoother, repaired "
+        "labels, every interval. Nothing else on this page looks ahead.\n\n"
         + (markdown_grid(rows) or _not_run())
     )
 
