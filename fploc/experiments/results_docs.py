@@ -38,10 +38,7 @@ def update_docs(runs: Path, docs: Path) -> Path:
     joined = facts[BASE] | {"training_cost": costs, "virtual_rates": _rates(runs / RATES)}
     joined["timings"] = _rows(runs / TIMINGS)
     joined["plan_worth"] = _rows(runs / PLAN_WORTH)
-    offline = runs / OFFLINE
-    joined["offline"] = (
-        [one.record.as_json() for one in read_tracked_records(offline)] if offline.is_file() else []
-    )
+    joined["offline"] = _lines(runs / OFFLINE)
     write_records(records, docs / f"{DOCUMENT}.jsonl")
     _write(docs / f"{DOCUMENT}-facts.json", json.dumps(joined, indent=1) + "\n")
     page = docs / f"{DOCUMENT}.md"
@@ -78,6 +75,13 @@ def _rates(file: Path) -> dict[str, float]:
 def _rows(file: Path) -> list[dict[str, Any]]:
     """Return the rows of a benchmark; none where it was not run."""
     return list(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else []
+
+
+def _lines(file: Path) -> list[dict[str, Any]]:
+    """Return the records that `fploc evaluate --json FILE` wrote; none where it was not run."""
+    return (
+        [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.is_file() else []
+    )
 
 
 def _write(file: Path, text: str) -> None:

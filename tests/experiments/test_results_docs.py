@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,18 @@ def test_the_page_shows_the_load_that_was_measured(made: MakeRecord, tmp_path: P
     for row in json.loads(committed.read_text(encoding="utf-8"))["curve"]:
         line = f"| {row['method']} | {row['devices']} |"
         assert line in shown and line not in without
+
+
+def test_the_page_shows_what_the_benchmarks_wrote(made: MakeRecord, tmp_path: Path) -> None:
+    finished(made, tmp_path, "full", {"training_cost": [], "ablations": {}})
+    worth = {"site": "library", "what": "plan", "changed": "none"}
+    worth |= {"device 1, RMSE [m]": "0.81", "device 2, RMSE [m]": "1.52"}
+    (tmp_path / "plan-worth.json").write_text(json.dumps([worth]))
+    offline = replace(made().record, method="default", filter="own", smoother=True, rmse_m=0.591)
+    write_records([offline], tmp_path / "offline.jsonl")
+    page = update_docs(tmp_path, tmp_path).read_text(encoding="utf-8")
+    assert "| plan | none | 0.81/1.52 |" in page
+    assert "| 0.59 |" in page.split("## Offline")[1].split("\n## ")[0]
 
 
 def test_a_missing_run_names_the_command_that_makes_it(tmp_path: Path) -> None:
