@@ -30,6 +30,14 @@ PLAIN: dict[str, object] = {
 
 
 @pytest.fixture(scope="session")
+def unmeasured() -> dict[str, str]:
+    """Environment of a process that coverage does not follow: it writes files, and takes time, of its own."""
+    return {
+        name: value for name, value in os.environ.items() if not name.startswith(("COVERAGE_", "COV_CORE_"))
+    }
+
+
+@pytest.fixture(scope="session")
 def source() -> Path:
     """Local copy of the public data set, laid out ``<revision>/<path>``."""
     folder = Path(os.environ.get("FPLOC_SOURCE", ROOT.parent / "shared" / "rtt-dataset"))

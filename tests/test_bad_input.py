@@ -363,7 +363,9 @@ def packed_world(original: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 @pytest.mark.parametrize("command", ["made-up", "build", "evaluate"])
-def test_a_full_disk_ends_in_one_line(command: str, original: Path, tmp_path: Path) -> None:
+def test_a_full_disk_ends_in_one_line(
+    command: str, original: Path, tmp_path: Path, unmeasured: dict[str, str]
+) -> None:
     """The kernel refuses to write beyond a few bytes, as a full disk does."""
     words = {
         "made-up": ["made-up", "--seed", "3", "--out", tmp_path / "out"],
@@ -379,7 +381,7 @@ def test_a_full_disk_ends_in_one_line(command: str, original: Path, tmp_path: Pa
         "sys.exit(main(sys.argv[1:]))\n"
     )
     command_line = [sys.executable, "-W", "ignore", "-B", "-c", limited, *map(str, words)]
-    done = subprocess.run(command_line, capture_output=True, text=True, check=False)
+    done = subprocess.run(command_line, env=unmeasured, capture_output=True, text=True, check=False)
     assert done.returncode == 2, done.stderr
     assert len(done.stderr.splitlines()) == 1 and done.stderr.startswith("fploc: ")
     finished = [path.name for path in tmp_path.rglob("*") if path.suffix in (".yaml", ".jsonl", ".json")]

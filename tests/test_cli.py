@@ -86,11 +86,13 @@ def test_zsh_gets_a_script_of_its_own(capsys: pytest.CaptureFixture[str]) -> Non
     assert script.startswith("#compdef fploc") and "shopping-mall" in script
 
 
-def test_help_answers_within_a_second(tmp_path: Path) -> None:
+def test_help_answers_within_a_second(tmp_path: Path, unmeasured: dict[str, str]) -> None:
     seconds = []
     for _ in range(3):
         began = time.perf_counter()
-        done = subprocess.run([FPLOC, "--help"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [FPLOC, "--help"], cwd=tmp_path, env=unmeasured, capture_output=True, text=True, check=False
+        )
         seconds.append(time.perf_counter() - began)
         assert done.returncode == 0 and done.stderr == ""
     assert min(seconds) < 1.0

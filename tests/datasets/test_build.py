@@ -261,7 +261,7 @@ def test_full_disk_leaves_what_was_there(
         build_sites(None, tmp_path, [own])
 
 
-def test_limit_on_file_size_ends_in_one_line(own: Path, tmp_path: Path) -> None:
+def test_limit_on_file_size_ends_in_one_line(own: Path, tmp_path: Path, unmeasured: dict[str, str]) -> None:
     """The real thing: the kernel refuses to write beyond a few kilobytes."""
     script = (
         "import resource, sys; from pathlib import Path\n"
@@ -270,7 +270,9 @@ def test_limit_on_file_size_ends_in_one_line(own: Path, tmp_path: Path) -> None:
         f"try: build_sites(None, Path({str(tmp_path / 'data')!r}), [{str(own)!r}])\n"
         "except FplocError as error: sys.exit(str(error))\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=unmeasured, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 1
     assert len(done.stderr.strip().splitlines()) == 1 and "room to write" in done.stderr
     assert not list((tmp_path / "data" / "packed").iterdir())

@@ -105,7 +105,7 @@ def test_a_store_that_is_none_is_named(tmp_path: Path) -> None:
         RunLog(tmp_path, "odd")
 
 
-def test_a_full_disk_ends_in_one_line(tmp_path: Path) -> None:
+def test_a_full_disk_ends_in_one_line(tmp_path: Path, unmeasured: dict[str, str]) -> None:
     script = (
         "import resource, sys; from pathlib import Path\n"
         "from fploc.errors import FplocError; from fploc.evaluation.run_log import RunLog\n"
@@ -113,6 +113,8 @@ def test_a_full_disk_ends_in_one_line(tmp_path: Path) -> None:
         f"try: RunLog(Path({str(tmp_path)!r}), 'full')\n"
         "except FplocError as error: sys.exit('one line: ' + str(error))\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=unmeasured, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith("one line: ") and "Traceback" not in done.stderr
