@@ -180,10 +180,8 @@ def localize(
     Returns:
         One track for each recording, in their order.
     """
-    padded = pad(recordings)
     localizer = Localizer(method, site, offsets, filter_settings, device=device)
-    intervals = all_intervals(padded, site, offsets, localizer.device)
-    count = int(padded.present.sum())
+    intervals, count = _laid_out(localizer, recordings)
     with torch.inference_mode():
         started = time.perf_counter()
         found = _locate(localizer, intervals)
@@ -221,16 +219,15 @@ def localize_offline(
 
     Arguments are those of ``localize``.
     """
-    padded = pad(recordings)
     localizer = Localizer(method, site, offsets, filter_settings, device=device)
     assert localizer.filter is not None
-    intervals = all_intervals(padded, site, offsets, localizer.device)
-    count = int(padded.present.sum())
-    own_filter = isinstance(method, Smoothing)
+    intervals, count = _laid_out(localizer, recordings)
     with torch.inference_mode():
         started = time.perf_counter()
-        found = _locate(localizer, intervals)
-        shown = method.smoothed(site, intervals) if isinstance(method, Smoothing) else found
+        if isinstance(method, Smoothing):
+            found, shown = method.both_ways(site, intervals)
+        else:
+            found = shown = _locate(localizer, intervals)
         filtered = smoothed(localizer.filter, intervals, found)
     ms_per_fix = 1000.0 * (time.perf_counter() - started) / count
     return [
@@ -238,10 +235,17 @@ def localize_offline(
             recording,
             path_of(shown, index, len(recording), ms_per_fix=ms_per_fix),
             path_of(filtered, index, len(recording), ms_per_fix=ms_per_fix),
-            own_filter=own_filter,
+            own_filter=isinstance(method, Smoothing),
         )
         for index, recording in enumerate(recordings)
     ]
+
+
+def _laid_out(localizer: Localizer, recordings: Sequence[Recording]) -> tuple[Intervals, int]:
+    """Return the calibrated intervals of recordings, (T, B, …), and how many there are."""
+    padded = pad(recordings)
+    intervals = all_intervals(padded, localizer.site, localizer.offsets, localizer.device)
+    return intervals, int(padded.present.sum())
 
 
 def calibrated_ranges(slant_m: Tensor, heard: Tensor, site: Site, offsets: RangeOffsets) -> Tensor:

@@ -13,11 +13,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from fploc.evaluation.results_page import IN_TIME
+
 FILES = ("kills", "browser")
 ROWS = ("steady", "curve")
 """Made once for each method: NAME-METHOD.json, one row for each number of phones."""
 METHODS = ("default", "nls-onesided")
-IN_TIME = 0.99
 COLUMNS = (
     ("phones", "devices"),
     ("within 200 ms", "within_200_ms"),

@@ -31,7 +31,7 @@ from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError, UnknownNameError
 from fploc.evaluation.metrics import Scores, score
 from fploc.evaluation.protocols import PUBLIC_SOURCE, protocol_of, validation_site
-from fploc.evaluation.records import Record, finite_or_none
+from fploc.evaluation.records import KALMAN, NO_FILTER, OWN, Record, finite_or_none
 from fploc.evaluation.revision import running_commit
 from fploc.filters.kalman import HEADLINE_SPEED_MPS, KalmanSettings
 from fploc.localizer import Path as DevicePath
@@ -40,7 +40,6 @@ from fploc.methods.interface import Filtering, Method
 
 PUBLISHED, REPAIRED, BOTH = "published", "repaired", "both"
 LABELS = (PUBLISHED, REPAIRED, BOTH)
-UNFILTERED, KALMAN, OWN = "none", "kalman", "own"
 
 
 @dataclass(frozen=True)
@@ -238,10 +237,11 @@ def _labels_there(request: EvaluationRequest, recordings: Sequence[Recording]) -
 
 def _paths_by_filter(tracks: Sequence[Track], request: EvaluationRequest) -> dict[str, list[DevicePath]]:
     """Return the paths of every track by filter; offline, those that no smoother made are left out."""
-    name = OWN if tracks[0].own_filter else UNFILTERED
-    paths = {name: [track.unfiltered for track in tracks]}
-    if request.smoother and not tracks[0].own_filter:
-        paths.clear()
+    paths = {}
+    if tracks[0].own_filter:
+        paths[OWN] = [track.unfiltered for track in tracks]
+    elif not request.smoother:
+        paths[NO_FILTER] = [track.unfiltered for track in tracks]
     filtered = [track.filtered for track in tracks if track.filtered is not None]
     if filtered:
         paths[KALMAN] = filtered

@@ -34,9 +34,9 @@ from fploc.datasets.packed import PackedSite, read_packed
 from fploc.datasets.paired import NO_LINK, PairedLap, paired_laps
 from fploc.datasets.recordings import Bools, Recording
 from fploc.errors import FplocError
-from fploc.evaluation.evaluate import KALMAN, EvaluationRequest, records_of
+from fploc.evaluation.evaluate import EvaluationRequest, records_of
 from fploc.evaluation.metrics import COUNTS
-from fploc.evaluation.records import Record
+from fploc.evaluation.records import KALMAN, Record
 from fploc.filters.kalman import KalmanSettings
 from fploc.joint_localizer import (
     Beside,

@@ -8,6 +8,7 @@ import numpy as np
 
 from fploc.evaluation.records import TrackedRecord
 from fploc.evaluation.report import headline_records
+from fploc.evaluation.selection import filtered_once
 
 LABELS = "repaired"
 EVERYWHERE = "all sites"
@@ -26,12 +27,10 @@ def overview(records: Sequence[TrackedRecord]) -> Overview:
     Args:
         records: Of one preset.
     """
-    filtering = {tracked.record.method for tracked in records if tracked.record.filter == "own"}
     values: dict[str, dict[str, dict[str, list[float]]]] = {}
-    for tracked in headline_records(records):
+    for tracked in filtered_once(headline_records(records)):
         one = tracked.record
-        is_shown = one.labels == LABELS and one.filter == ("own" if one.method in filtering else "kalman")
-        if is_shown and one.rmse_m is not None:
+        if one.labels == LABELS and one.rmse_m is not None:
             methods = values.setdefault(one.protocol, {})
             place = f"{one.site}/device {one.device} rmse_m"
             methods.setdefault(one.method, {}).setdefault(place, []).append(one.rmse_m)

@@ -12,6 +12,9 @@ from typing import Any
 from fploc.errors import BadFileError, MissingFileError
 from fploc.files import whole
 
+NO_FILTER, KALMAN, OWN = "none", "kalman", "own"
+"""What a record is behind: nothing, the Kalman filter, or what the method is itself."""
+
 
 @dataclass(frozen=True)
 class Record:

@@ -10,13 +10,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from fploc.evaluation.paper_numbers import published
+from fploc.evaluation.records import NO_FILTER
 from fploc.evaluation.selection import FILTERED, UNFILTERED, RecordBook, Slot
 from fploc.evaluation.tables import UNKNOWN
 
 Rows = list[dict[str, str]]
 
 OURS = "gnn-fpdnn"
-ANY = ("kalman", "own", "none")
+ANY = (*FILTERED, NO_FILTER)
 PAPER_RIVALS = ("rtt-rss", "bayes-grid", "cbt-wccg")
 PAPER_GAINS = {("shopping-mall", 1): "31.1–55.4 %", ("laboratory", 1): "38.5–58.7 %"}
 """Of zero-shot gnn-fpdnn over ``PAPER_RIVALS``."""

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.paper_numbers import paper_numbers, published
-from fploc.evaluation.records import Record, TrackedRecord
+from fploc.evaluation.records import KALMAN, NO_FILTER, OWN, Record, TrackedRecord
 from fploc.evaluation.tables import UNKNOWN, mean_text
 
 METRICS = ("rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
 REAL_PLAN = "real"
-FILTERS = {"none": "none", "kalman": "KF", "own": "own"}
+FILTERS = {NO_FILTER: "none", KALMAN: "KF", OWN: "own"}
 SHARED_FLOOR = ("conference-room", "office-position1", "office-position2")
 
 
@@ -102,10 +102,10 @@ def _row(
     setting: str,
     group: Sequence[Record],
 ) -> dict[str, str]:
-    filtered = filter_name == "kalman"
+    filtered = filter_name == KALMAN
     paper = (
         []
-        if filter_name == "own" or setting
+        if filter_name == OWN or setting
         else published(protocol, method, site, device, filtered=filtered, metric="rmse_m")
     )
     return {

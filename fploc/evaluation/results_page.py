@@ -28,7 +28,7 @@ from fploc.evaluation.chain_stages import STAGES
 from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.generator_match import printed_rows
 from fploc.evaluation.paper_comparison import NOT_RUN, comparison_sections, cost_rows, worse_sentences
-from fploc.evaluation.records import TrackedRecord
+from fploc.evaluation.records import OWN, TrackedRecord
 from fploc.evaluation.relative_figures import (
     OURS,
     device_gap_rows,
@@ -38,7 +38,7 @@ from fploc.evaluation.relative_figures import (
     tuning_rows,
 )
 from fploc.evaluation.report import REAL_PLAN, SHARED_FLOOR, variant_of
-from fploc.evaluation.selection import OWN, UNFILTERED, RecordBook, Slot
+from fploc.evaluation.selection import UNFILTERED, RecordBook, Slot
 from fploc.evaluation.study_tables import study_sections
 from fploc.evaluation.tables import UNKNOWN, mean_text
 

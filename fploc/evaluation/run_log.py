@@ -106,24 +106,27 @@ class RunLog:
             self._delete_earlier(name, tags)
         return MLFlowLogger(experiment_name=self._name, run_name=name, tracking_uri=self.uri, tags=dict(tags))
 
-    def register(self, model: str, folder: Path, *, tags: Mapping[str, str], identity: Sequence[str]) -> None:
-        """Make a folder a version of a registered model; nothing where a version has all these tags already.
+    def register(
+        self, model: str, made: Mapping[Path, Mapping[str, str]], *, identity: Sequence[str]
+    ) -> None:
+        """Make folders versions of a registered model; nothing where a version has all tags of one already.
 
         Args:
             model: Name of the registered model, made where there is none.
-            folder: What the version stands for; it stays where it is.
-            tags: Of the version.
+            made: What versions stand for, and the tags of each; folders stay where they are.
             identity: Tags that tell versions apart: an older one that is alike in them is deleted.
         """
         with self._usable():
             if not self._client.search_registered_models(f"name = '{model}'"):
                 self._client.create_registered_model(model)
-            for version, found in self.versions(model).items():
-                if found == tags:
-                    return
-                if all(found.get(name) == tags[name] for name in identity):
-                    self._client.delete_model_version(model, version)
-            self._client.create_model_version(model, folder.resolve().as_uri(), tags=dict(tags))
+            known = self.versions(model)
+            for folder, tags in made.items():
+                if dict(tags) in known.values():
+                    continue
+                for version, found in known.items():
+                    if all(found.get(name) == tags[name] for name in identity):
+                        self._client.delete_model_version(model, version)
+                self._client.create_model_version(model, folder.resolve().as_uri(), tags=dict(tags))
 
     def versions(self, model: str) -> dict[str, dict[str, str]]:
         """Return the tags of each version of a registered model."""

@@ -7,14 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fploc.evaluation.records import Record, TrackedRecord
+from fploc.evaluation.records import KALMAN, NO_FILTER, OWN, Record, TrackedRecord
 from fploc.evaluation.report import REAL_PLAN, variant_of
 from fploc.evaluation.tables import mean_text
 
-OWN = "own"
-FILTERED = (OWN, "kalman")
+FILTERED = (OWN, KALMAN)
 """The method's own filter, or the Kalman filter behind one that has none: nothing is filtered twice."""
-UNFILTERED = ("none", OWN)
+UNFILTERED = (NO_FILTER, OWN)
+
+
+def filtered_once(records: Sequence[TrackedRecord]) -> list[TrackedRecord]:
+    """Return the records behind a filter, without those where another one stands behind a method's own."""
+    filtering = {one.record.method for one in records if one.record.filter == OWN}
+    return [
+        one for one in records if one.record.filter == (OWN if one.record.method in filtering else KALMAN)
+    ]
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ from fploc.evaluation.error_series import ErrorSeries, pooled_errors_m
 from fploc.evaluation.metrics import Floats
 from fploc.evaluation.paper_numbers import published
 from fploc.evaluation.protocols import EvaluationProtocol, Tested
-from fploc.evaluation.records import TrackedRecord
-from fploc.evaluation.selection import FILTERED
+from fploc.evaluation.records import NO_FILTER, TrackedRecord
+from fploc.evaluation.selection import filtered_once
 from fploc.files import whole
 from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.plots.access_points import plot_access_points
@@ -116,7 +116,7 @@ def rmse_rows(records: Sequence[TrackedRecord], protocol: str, *, filtered: bool
         protocol: Name of the protocol.
         filtered: True for the results of filters, a method's own included; False for unfiltered ones.
     """
-    filters = ("kalman", "own") if filtered else ("none",)
+    shown = filtered_once(records) if filtered else [one for one in records if one.record.filter == NO_FILTER]
     return [
         RmseRow(
             place=f"{one.site}\ndevice {one.device}",
@@ -129,21 +129,20 @@ def rmse_rows(records: Sequence[TrackedRecord], protocol: str, *, filtered: bool
                 )
             ),
         )
-        for one in (tracked.record for tracked in records)
-        if (one.protocol, one.labels) == (protocol, LABELS) and one.filter in filters
+        for one in (tracked.record for tracked in shown)
+        if (one.protocol, one.labels) == (protocol, LABELS)
     ]
 
 
 def access_point_figures(studied: Sequence[TrackedRecord]) -> Named:
     """Yield the RMSE of every method over the number of access points, filtered, of each device of each site."""
     groups: dict[tuple[str, int, bool], dict[str, dict[int, float]]] = {}
-    for tracked in studied:
+    for tracked in filtered_once(studied):
         one = tracked.record
         study, value = varied(one.condition)
-        shown = one.labels == LABELS and one.filter in FILTERED and one.rmse_m is not None
+        shown = one.labels == LABELS and one.rmse_m is not None
         if study == ACCESS_POINTS and value != AS_IS and shown:
             methods = groups.setdefault((one.site, one.device, tracked.made_up), {})
-            # A method that filters by itself comes first, and stays.
             methods.setdefault(one.method, {}).setdefault(int(value), cast(float, one.rmse_m))
     for (site, device, made_up), rmse_m in groups.items():
         figure = plot_access_points(

@@ -14,7 +14,6 @@ from fploc.calibration.offsets import SourceRecordings, fit_pooled_offsets
 from fploc.datasets.packed import packed_sites, read_packed
 from fploc.errors import MissingFileError, UnknownNameError
 from fploc.evaluation.evaluate import (
-    OWN,
     REPAIRED,
     EvaluationRequest,
     every_source_recording,
@@ -23,7 +22,7 @@ from fploc.evaluation.evaluate import (
 )
 from fploc.evaluation.metrics import normalised_errors
 from fploc.evaluation.protocols import POOLED_SITES, PUBLIC_SOURCE, protocol_of
-from fploc.evaluation.records import Record, write_records
+from fploc.evaluation.records import OWN, Record, write_records
 from fploc.experiments.model_card import model_card
 from fploc.experiments.scoring import artifacts_folder, data_hash, learned_and_tested
 from fploc.experiments.source_fit import fitted_on

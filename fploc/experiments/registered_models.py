@@ -17,6 +17,8 @@ CHAMPION = "champion"
 VALIDATION = "validation_m"
 """Tag with the error that validation says, metres: smaller is better."""
 BYTES = "sha256"
+IDENTITY = ("protocol", "target", "seed", "preset")
+"""Tags that tell versions of a model apart."""
 
 
 def register_models(log: RunLog, folders: Mapping[ArtifactKey, Path], *, made_up: bool) -> None:
@@ -31,12 +33,11 @@ def register_models(log: RunLog, folders: Mapping[ArtifactKey, Path], *, made_up
         folders: Where each artifact lies.
         made_up: True where it was trained on made-up buildings, whose models have names of their own.
     """
-    names = set()
+    made: dict[str, dict[Path, dict[str, str]]] = {}
     for key, folder in folders.items():
-        name = model_name(key.method, made_up=made_up)
-        names.add(name)
-        log.register(name, folder, tags=_tags(key, folder), identity=("protocol", "target", "seed", "preset"))
-    for name in names:
+        made.setdefault(model_name(key.method, made_up=made_up), {})[folder] = _tags(key, folder)
+    for name, versions in made.items():
+        log.register(name, versions, identity=IDENTITY)
         champion = _champion(log.versions(name))
         if champion is not None:
             log.name_version(name, CHAMPION, champion)

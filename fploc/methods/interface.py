@@ -92,8 +92,8 @@ class Filtering(Protocol):
 class Smoothing(Protocol):
     """A method that can look back on whole recordings: offline, its positions know what came after them."""
 
-    def smoothed(self, site: Site, intervals: Intervals) -> Estimate:
-        """Return estimates, shapes (T, B, …), of intervals with a leading time axis, (T, B, …)."""
+    def both_ways(self, site: Site, intervals: Intervals) -> tuple[Estimate, Estimate]:
+        """Return the estimates that ``step`` makes of intervals (T, B, …), and smoothed ones, shapes (T, B, …)."""
 
 
 @runtime_checkable
