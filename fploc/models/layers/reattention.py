@@ -31,7 +31,7 @@ def mix_heads(maps: Tensor, theta: Tensor) -> Tensor:
         maps: Shape (B, H, N, N).
         theta: Θ of shape (H, H).
     """
-    return torch.einsum("bhnm,hg->bgnm", maps, theta)
+    return (theta.T @ maps.flatten(2)).view_as(maps)
 
 
 def near_identity(heads: int, scale: float = 0.05) -> Tensor:
