@@ -39,8 +39,9 @@ PHONES = 8
 AT_ONCE = 3
 RETRY_S = 0.1
 PAUSE_S = 0.02
-CLOSE_M = 1e-6
-"""Solvers stop where the cost is flat to its last digit: with other devices in the batch, up to 1e-8 m elsewhere."""
+CLOSE_M = 1e-5
+"""With other devices in the batch, solvers that stop where the cost is flat to its last digit are up to 1e-8 m
+elsewhere, beliefs in single precision 1e-6 m."""
 BETWEEN_KILLS = 30
 """Reading sets that are acknowledged, at the least, between two kills: each kill falls into the load."""
 LONGEST_RUN_S = 1.5

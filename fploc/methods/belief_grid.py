@@ -1,15 +1,18 @@
 """Cells that beliefs are held on, what the plan says of each, and what becomes of beliefs: moves, product, moments.
 
-Axes: B devices, G beliefs of a device, A access points, X and Y cells, C = X · Y, K taps of a kernel.
+Axes: B devices, G beliefs of a device, A access points, X and Y cells, x and y those of a window, C = X · Y or x · y,
+K taps of a kernel.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.walkable import walkable_shares
@@ -88,15 +91,79 @@ class BeliefGrid:
 
     def moments(self, beliefs: Tensor) -> tuple[Tensor, Tensor]:
         """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of beliefs (B, X, Y)."""
-        over_x, over_y = beliefs.sum(2), beliefs.sum(1)
-        mean_x, mean_y = over_x @ self.xs_m, over_y @ self.ys_m
-        away_x, away_y = self.xs_m - mean_x[:, None], self.ys_m - mean_y[:, None]
-        within_cell = self.cell_m**2 / 12
-        variance_x = (over_x * away_x.square()).sum(1) + within_cell
-        variance_y = (over_y * away_y.square()).sum(1) + within_cell
-        shared = torch.einsum("bxy,bx,by->b", beliefs, away_x, away_y)
-        rows = [torch.stack([variance_x, shared], -1), torch.stack([shared, variance_y], -1)]
-        return torch.stack([mean_x, mean_y], -1), torch.stack(rows, -2)
+        return _moments(beliefs, self.xs_m, self.ys_m, self.cell_m)
+
+    def around(self, beliefs: Sequence[Tensor], reach: int) -> Window:
+        """Return for each device the cells that any of its beliefs is not 0 on, and ``reach`` more on every side.
+
+        Args:
+            beliefs: Of the same devices, shape (B, G, X, Y) each.
+            reach: Cells.
+        """
+        occupied = torch.stack([one.amax(1) for one in beliefs]).amax(0) > 0
+        first_x, length_x = _stretch(occupied.any(2), reach)
+        first_y, length_y = _stretch(occupied.any(1), reach)
+        return Window(self, first_x, first_y, (length_x, length_y))
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of cells for each device of a batch, all of one size: beliefs are 0 on most cells of a building.
+
+    Args:
+        grid: Cells of the site.
+        first_x: Index of the first cell along x, shape (B,).
+        first_y: Index of the first cell along y, shape (B,).
+        shape: Cells along x and y.
+    """
+
+    grid: BeliefGrid
+    first_x: Tensor
+    first_y: Tensor
+    shape: tuple[int, int]
+
+    @cached_property
+    def rows(self) -> Tensor:
+        """Index along x of each row, shape (B, x)."""
+        return self.first_x[:, None] + torch.arange(self.shape[0])
+
+    @cached_property
+    def columns(self) -> Tensor:
+        """Index along y of each column, shape (B, y)."""
+        return self.first_y[:, None] + torch.arange(self.shape[1])
+
+    @cached_property
+    def cells(self) -> Tensor:
+        """Index of each cell in the grid, shape (B, C)."""
+        return (self.rows[:, :, None] * len(self.grid.ys_m) + self.columns[:, None, :]).flatten(1)
+
+    @property
+    def distances_m(self) -> Tensor:
+        """From each access point to each cell, shape (B, A, C), metres."""
+        chosen = self.grid.distances_m.index_select(1, self.cells.flatten())
+        return chosen.unflatten(1, self.cells.shape).transpose(0, 1).contiguous()
+
+    @property
+    def plan_log(self) -> Tensor:
+        """As that of the grid, shape (B, C)."""
+        return self.grid.plan_log[self.cells]
+
+    def cut(self, beliefs: Tensor) -> Tensor:
+        """Return the part (B, G, x, y) of beliefs (B, G, X, Y)."""
+        at = self.cells[:, None].expand(-1, beliefs.shape[1], -1)
+        return beliefs.flatten(2).gather(2, at).unflatten(2, self.shape)
+
+    def spread(self, beliefs: Tensor) -> Tensor:
+        """Return beliefs (B, G, X, Y) that are ``beliefs`` (B, G, x, y) here, and 0 elsewhere."""
+        at = self.cells[:, None].expand(-1, beliefs.shape[1], -1)
+        everywhere = beliefs.new_zeros(*beliefs.shape[:2], len(self.grid.cells_m))
+        whole = (len(self.grid.xs_m), len(self.grid.ys_m))
+        return everywhere.scatter_(2, at, beliefs.flatten(2)).unflatten(2, whole)
+
+    def moments(self, beliefs: Tensor) -> tuple[Tensor, Tensor]:
+        """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of beliefs (B, x, y)."""
+        xs_m, ys_m = self.grid.xs_m[self.rows], self.grid.ys_m[self.columns]
+        return _moments(beliefs, xs_m, ys_m, self.grid.cell_m)
 
 
 def _centres(coordinates: Tensor, cell_m: float, margin_m: float) -> Tensor:
@@ -106,6 +173,28 @@ def _centres(coordinates: Tensor, cell_m: float, margin_m: float) -> Tensor:
     return low + cell_m * (torch.arange(count, dtype=torch.float64) + 0.5)
 
 
+def _stretch(occupied: Tensor, reach: int) -> tuple[Tensor, int]:
+    """Return the first cell (B,) and the common length of stretches with all occupied cells (B, n) and a margin."""
+    cells = occupied.shape[1]
+    first = occupied.int().argmax(1)
+    last = cells - 1 - occupied.flip(1).int().argmax(1)
+    length = min(cells, int((last - first).max()) + 1 + 2 * reach)
+    return (first - reach).clamp(0, cells - length), length
+
+
+def _moments(beliefs: Tensor, xs_m: Tensor, ys_m: Tensor, cell_m: float) -> tuple[Tensor, Tensor]:
+    """Return means (B, 2) and covariances (B, 2, 2) of beliefs (B, X, Y) on centres (X,), (Y,) or (B, X), (B, Y)."""
+    over_x, over_y = beliefs.sum(2), beliefs.sum(1)
+    mean_x, mean_y = (over_x * xs_m).sum(1), (over_y * ys_m).sum(1)
+    away_x, away_y = xs_m - mean_x[:, None], ys_m - mean_y[:, None]
+    within_cell = cell_m**2 / 12
+    variance_x = (over_x * away_x.square()).sum(1) + within_cell
+    variance_y = (over_y * away_y.square()).sum(1) + within_cell
+    shared = ((beliefs @ away_y[..., None])[..., 0] * away_x).sum(1)
+    rows = [torch.stack([variance_x, shared], -1), torch.stack([shared, variance_y], -1)]
+    return torch.stack([mean_x, mean_y], -1), torch.stack(rows, -2)
+
+
 def posterior(before: Tensor, log_likelihoods: Tensor) -> Tensor:
     """Return beliefs times likelihoods, scaled to sum 1; negligible cells become 0.
 
@@ -113,16 +202,17 @@ def posterior(before: Tensor, log_likelihoods: Tensor) -> Tensor:
         before: Shape (B, G, X, Y).
         log_likelihoods: Of each cell, whatever the belief, shape (B, C).
     """
-    after = weighted(before, log_likelihoods)
-    after = torch.where(after < NEGLIGIBLE * after.amax((1, 2, 3), keepdim=True), 0.0, after)
-    return after / after.sum((1, 2, 3), keepdim=True)
+    weights = likelihood_ratios(log_likelihoods).to(before.dtype)
+    after = before.sum(1).flatten(1) * weights
+    decides = after >= NEGLIGIBLE * after.amax(1, keepdim=True)
+    scaled = decides * weights / (decides * after).sum(1, keepdim=True)
+    return before * scaled.unflatten(1, before.shape[2:])[:, None]
 
 
-def weighted(before: Tensor, log_likelihoods: Tensor) -> Tensor:
-    """Return beliefs (B, G, X, Y) times likelihoods (B, C), the greatest of which counts as 1."""
+def likelihood_ratios(log_likelihoods: Tensor) -> Tensor:
+    """Return likelihoods beside the greatest one of each device, from their logarithms, shape (B, C)."""
     highest = log_likelihoods.amax(1, keepdim=True)
-    weights = torch.exp(log_likelihoods - highest).clamp(min=LEAST_WEIGHT).to(before.dtype)
-    return before * weights.view(len(before), 1, *before.shape[2:])
+    return torch.exp(log_likelihoods - highest).clamp(min=LEAST_WEIGHT)
 
 
 def tempered(since_s: Tensor, correlation_s: float) -> Tensor:
@@ -130,8 +220,13 @@ def tempered(since_s: Tensor, correlation_s: float) -> Tensor:
     return (since_s / max(correlation_s, SHORTEST_S)).clamp(max=1.0)
 
 
+def reach_of(shifts: Tensor, variances: Tensor) -> int:
+    """Return how many cells away ``moved`` gets with these arguments."""
+    return math.ceil(KERNEL_REACH * float(variances.max().sqrt()) + float(shifts.abs().max())) + 1
+
+
 def moved(beliefs: Tensor, shifts: Tensor, variances: Tensor) -> Tensor:
-    """Shift beliefs and blur them, along x and then along y; what leaves the grid is lost.
+    """Shift beliefs and blur them; what leaves the grid is lost.
 
     Args:
         beliefs: Shape (B, G, X, Y).
@@ -141,16 +236,25 @@ def moved(beliefs: Tensor, shifts: Tensor, variances: Tensor) -> Tensor:
     Returns:
         Shape (B, G, X, Y), of the type of ``beliefs``.
     """
-    devices, each, rows, columns = beliefs.shape
-    reach = math.ceil(KERNEL_REACH * float(variances.max().sqrt()) + float(shifts.abs().max())) + 1
-    reach = min(reach, max(rows, columns))
-    taps = kernels(shifts, variances[..., None], reach).to(beliefs.dtype).flatten(0, 1)
-    # A convolution of torch is a correlation: kernels turned around.
-    along_x, along_y = taps[:, 0].flip(-1)[:, None, :, None], taps[:, 1].flip(-1)[:, None, None, :]
-    stacked = beliefs.reshape(1, devices * each, rows, columns)
-    stacked = torch.nn.functional.conv2d(stacked, along_x, padding=(reach, 0), groups=devices * each)
-    stacked = torch.nn.functional.conv2d(stacked, along_y, padding=(0, reach), groups=devices * each)
-    return stacked.view(beliefs.shape)
+    reach = min(reach_of(shifts, variances), max(beliefs.shape[2:]))
+    return filtered(beliefs, kernels(shifts, variances[..., None], reach))
+
+
+def filtered(beliefs: Tensor, taps: Tensor) -> Tensor:
+    """Return beliefs (…, B, G, X, Y), each convolved along x and along y with kernels (B, G, 2, K)."""
+    # As products of matrices: a convolution for each of many small images takes three times as long.
+    along_x, along_y = (
+        banded(taps[:, :, axis].to(beliefs.dtype), cells) for axis, cells in enumerate(beliefs.shape[-2:])
+    )
+    return along_x @ beliefs @ along_y.mT
+
+
+def banded(taps: Tensor, cells: int) -> Tensor:
+    """Return matrices (…, n, n) that convolve ``cells`` values with kernels (…, K); beyond the ends is nothing."""
+    reach = taps.shape[-1] // 2
+    at = torch.arange(cells)
+    offsets = (at[:, None] - at).clamp(-reach - 1, reach + 1) + reach + 1
+    return nn.functional.pad(taps, (1, 1)).index_select(-1, offsets.flatten()).unflatten(-1, (cells, cells))
 
 
 def kernels(shifts: Tensor, variances: Tensor, reach: int) -> Tensor:

@@ -3,7 +3,7 @@
 It needs neither training nor a plan, and so carries no fault of a source or of a drawing to the features. What it
 says of a link, given all other links, is the best that can be known of its error before anything is learned.
 
-Axes: B devices, G gaits, A access points, X and Y cells, C = X · Y, Q errors of a table.
+Axes: B devices, G gaits, A access points, X and Y cells, x and y those of a window, C = x · y, Q errors of a table.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from fploc.intervals import Intervals
-from fploc.methods.belief_grid import BeliefGrid, posterior, tempered
+from fploc.methods.belief_grid import BeliefGrid, Window, posterior, tempered
 from fploc.methods.link_evidence import LinkEvidence, RangeExpectation
-from fploc.methods.walk import Walk, WalkSettings
+from fploc.methods.walk import Strides, Walk, WalkSettings
 from fploc.sites.site import Site
 
 LOWEST_ERROR_M, ERROR_STEP_M, ERRORS = -12.0, 0.2, 260
@@ -81,23 +81,44 @@ class CoarseState:
 
 
 @dataclass(frozen=True)
+class Moved:
+    """What a belief is by the time of an interval.
+
+    Args:
+        window: Cells that anybody can be on by now.
+        strides: Where the time since the interval before took everybody.
+        before: The belief at the interval before, shape (B, G, x, y).
+        now: The belief, but for what the interval says, shape (B, G, x, y).
+    """
+
+    window: Window
+    strides: Strides
+    before: Tensor
+    now: Tensor
+
+    def settled(self, updated: Tensor, present: Tensor) -> Tensor:
+        """Return ``updated`` (B, G, x, y) of devices that are present (B,), of others the belief before."""
+        return torch.where(present[:, None, None, None], updated, self.before)
+
+
+@dataclass(frozen=True)
 class Heard:
     """What an interval brings to a belief behind the coarse one.
 
     Args:
+        moved: The belief behind the coarse one, or the coarse one where there is none.
         features: Of every link, shape (B, A, F).
         error_bins: Row of the tables of errors that each cell would mean, shape (B, A, C), int32; ``SILENT`` where
             the device is absent or did not hear the access point.
         heard: True where a device that is present heard an access point, shape (B, A).
-        dt_s: Time since the interval before, shape (B,), seconds; 0 for devices that are absent or new.
         since_s: Time since something was heard, shape (B,), seconds; infinite before the first time.
         coarse_log: Untempered logarithm of the coarse likelihood of the interval, shape (B, C).
     """
 
+    moved: Moved
     features: Tensor
     error_bins: Tensor
     heard: Tensor
-    dt_s: Tensor
     since_s: Tensor
     coarse_log: Tensor
 
@@ -126,54 +147,68 @@ class CoarseBelief:
         """Return the cells of a site."""
         return BeliefGrid.over(site, cell_m=self.settings.cell_m, margin_m=self.settings.margin_m)
 
-    def step(self, state: CoarseState, intervals: Intervals) -> tuple[CoarseState, Heard]:
-        """Advance every device that is present by one interval."""
+    def step(
+        self, state: CoarseState, intervals: Intervals, behind: Tensor | None = None
+    ) -> tuple[CoarseState, Heard]:
+        """Advance every device that is present by one interval.
+
+        Args:
+            state: Before the interval.
+            intervals: Of every device.
+            behind: Beliefs of the same devices that move along, shape (B, G, X, Y); None for the coarse ones.
+        """
         heard = intervals.heard & intervals.present[:, None]
         hears = heard.any(-1)
         now = intervals.t_s.double()
         t_s = torch.where(state.started, torch.maximum(now, state.t_s), now)
         away_s = torch.where(state.started & intervals.present, t_s - state.t_s, 0.0)
-        dt_s = away_s.clamp(max=LONGEST_GAP_S)
         since_s = torch.where(state.started, t_s - state.heard_t_s, torch.inf)
+        coarse, moved = self._moved(state, away_s.clamp(max=LONGEST_GAP_S), behind)
 
-        bins = _error_bins(state.grid, intervals, heard)
+        distances_m = coarse.window.distances_m
+        bins = _error_bins(distances_m, intervals, heard)
         likelihoods = self._likelihoods.index_select(0, bins.flatten()).view(bins.shape)
         coarse_log = likelihoods.log().sum(1)
-        moved = self.walk.moved(state.beliefs, dt_s, self.settings.cell_m)
-        anyhow = posterior(moved.sum(1, keepdim=True), coarse_log)[:, 0]
-        expected = self._expected(state.grid, anyhow.double(), likelihoods)
+        anyhow = posterior(coarse.now.sum(1, keepdim=True), coarse_log)[:, 0]
+        expected = self._expected(distances_m, anyhow.double(), likelihoods)
         links, features = state.links.after(intervals, away_s, expected)
         powers = tempered(since_s, self.settings.coarse_correlation_s)
-        updated = posterior(moved, torch.where(hears, powers, 0.0)[:, None] * coarse_log)
+        updated = posterior(coarse.now, torch.where(hears, powers, 0.0)[:, None] * coarse_log)
         new = CoarseState(
             grid=state.grid,
-            beliefs=torch.where(intervals.present[:, None, None, None], updated, state.beliefs),
+            beliefs=coarse.window.spread(coarse.settled(updated, intervals.present)),
             links=links,
             t_s=torch.where(intervals.present, t_s, state.t_s),
             heard_t_s=torch.where(hears, t_s, state.heard_t_s),
             started=state.started | hears,
         )
-        return new, Heard(features, bins, heard, dt_s, since_s, coarse_log)
+        return new, Heard(moved, features, bins, heard, since_s, coarse_log)
+
+    def _moved(self, state: CoarseState, dt_s: Tensor, behind: Tensor | None) -> tuple[Moved, Moved]:
+        """Return what the coarse beliefs and those behind them are ``dt_s`` (B,) later."""
+        beliefs = [state.beliefs] if behind is None else [state.beliefs, behind]
+        strides = self.walk.strides(dt_s, state.grid.cell_m, farthest=max(state.beliefs.shape[2:]))
+        window = state.grid.around(beliefs, strides.reach)
+        before = torch.stack([window.cut(one) for one in beliefs])
+        moved = [Moved(window, strides, *one) for one in zip(before, strides.onwards(before), strict=True)]
+        return moved[0], moved[-1]
 
     @staticmethod
-    def _expected(grid: BeliefGrid, beliefs: Tensor, likelihoods: Tensor) -> RangeExpectation:
-        """Return what beliefs (B, X, Y) expect of ranges, with and without the likelihoods (B, A, C) of each."""
-        weights = beliefs.flatten(1)
-        by_all = weights @ grid.distances_m.mT
+    def _expected(distances_m: Tensor, beliefs: Tensor, likelihoods: Tensor) -> RangeExpectation:
+        """Return what beliefs (B, x, y) expect of ranges, with and without the likelihoods (B, A, C) of each."""
+        weights = beliefs.flatten(1)[:, None, :]
+        by_all = (weights * distances_m).sum(-1)
         # Dividing a range's own likelihood out again leaves what the other ranges say.
-        others = weights[:, None, :] / likelihoods
-        powers = torch.stack(
-            [torch.ones_like(grid.distances_m), grid.distances_m, grid.distances_m.square()], -1
-        )
-        total, first, second = torch.bmm(others.transpose(0, 1), powers).permute(2, 1, 0)
-        mean, square = first / total, second / total
+        others = weights / likelihoods
+        total, first = others.sum(-1), others * distances_m
+        mean, square = first.sum(-1) / total, (first * distances_m).sum(-1) / total
         spread = (square - mean.square()).clamp(min=SMALLEST_SPREAD_M**2).sqrt()
         return RangeExpectation(by_others=mean, spread=spread, by_all=by_all)
 
 
-def _error_bins(grid: BeliefGrid, intervals: Intervals, heard: Tensor) -> Tensor:
+def _error_bins(distances_m: Tensor, intervals: Intervals, heard: Tensor) -> Tensor:
     """Return the row of the tables for the error that each cell would mean, shape (B, A, C), int32."""
     # Narrow types: this is the largest tensor of a step.
     steps = (intervals.ranges.double() - LOWEST_ERROR_M) / ERROR_STEP_M
-    bins = (steps.float()[..., None] - (grid.distances_m / ERROR_STEP_M).float()).clamp_(0, ERRORS - 1).int()
+    bins = (steps.float()[..., None] - (distances_m / ERROR_STEP_M).float()).clamp_(0, ERRORS - 1).int()
     return bins.masked_fill_(~heard[..., None], SILENT)

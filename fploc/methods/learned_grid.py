@@ -29,7 +29,7 @@ from fploc.conf import instantiate, read_conf
 from fploc.errors import FplocError
 from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals, NoFix, estimate, stacked
-from fploc.methods.belief_grid import LEAST_WEIGHT, BeliefGrid, posterior, weighted
+from fploc.methods.belief_grid import LEAST_WEIGHT, Window, likelihood_ratios, posterior
 from fploc.methods.coarse_belief import (
     SILENT,
     CoarseBelief,
@@ -41,6 +41,7 @@ from fploc.methods.coarse_belief import (
 from fploc.methods.interface import Examples
 from fploc.methods.link_evidence import VIEWS
 from fploc.methods.range_lessons import LessonSettings, range_lessons, taught
+from fploc.methods.walk import Strides
 from fploc.models.range_error import RangeErrorNetwork, log_density
 from fploc.progress import track
 from fploc.sites.site import Site
@@ -126,18 +127,22 @@ class LearnedGridState:
 
 
 @dataclass(frozen=True)
-class _Weighed:
-    """What an interval said.
+class _Passed:
+    """What became of beliefs in an interval.
 
     Args:
-        log_likelihoods: Tempered, shape (B, C).
-        dt_s: Time since the interval before, shape (B,), seconds.
+        window: Cells that anybody could be on.
+        strides: Where the time since the interval before took everybody.
+        log_likelihoods: What was heard says, tempered, shape (B, C).
         hears: True where a device heard something, shape (B,).
+        beliefs: Behind the interval, shape (B, G, x, y).
     """
 
+    window: Window
+    strides: Strides
     log_likelihoods: Tensor
-    dt_s: Tensor
     hears: Tensor
+    beliefs: Tensor
 
 
 class LearnedGridFilter:
@@ -187,49 +192,47 @@ class LearnedGridFilter:
     @torch.no_grad()
     def step(self, state: LearnedGridState, intervals: Intervals) -> tuple[LearnedGridState, Estimate]:
         """Move the belief of every device that is present, and multiply it by what was heard."""
-        new, weighed = self._advanced(state, intervals)
-        return new, self._estimated(new.coarse.grid, new.beliefs, weighed.hears)
+        new, passed = self._advanced(state, intervals)
+        return new, self._estimated(passed)
 
     @torch.no_grad()
     def both_ways(self, site: Site, intervals: Intervals) -> tuple[Estimate, Estimate]:
         """Return what ``step`` makes of every interval, and what the belief there is when all later ones are known.
 
-        Beliefs of all intervals are held at once: about 1 GB for 3,000 intervals of four devices on a floor of
-        40 m by 25 m.
+        Beliefs of all intervals are held at once, but only where they are not 0.
         """
-        state, beliefs, weighed = self.init(site, intervals.t_s.shape[1]), [], []
-        grid, causal = state.coarse.grid, []
+        state, passed, smoothed = self.init(site, intervals.t_s.shape[1]), [], []
         for step in track(range(len(intervals.t_s)), self.name):
             state, one = self._advanced(state, intervals.at(step))
-            causal.append(self._estimated(grid, state.beliefs, one.hears))
-            beliefs.append((state.beliefs / state.beliefs.amax((1, 2, 3), keepdim=True)).half())
-            weighed.append(one)
-        messages, smoothed = torch.ones_like(state.beliefs).double(), []
-        for kept, one in zip(reversed(beliefs), reversed(weighed), strict=True):
-            both = kept.double() * messages
-            smoothed.append(self._estimated(grid, both / both.sum((1, 2, 3), keepdim=True), one.hears))
-            later = weighted(messages, one.log_likelihoods)
-            messages = self._coarse.walk.looked_back(later, one.dt_s, grid.cell_m)
-            messages = (messages / messages.amax((1, 2, 3), keepdim=True)).clamp(min=LEAST_WEIGHT)
-        return stacked(causal), stacked(smoothed[::-1])
+            passed.append(one)
+        messages = torch.ones_like(state.beliefs).double()
+        for one, present in zip(reversed(passed), intervals.present.flip(0), strict=True):
+            later = one.window.cut(messages)
+            both = one.beliefs * later
+            smoothed.append(self._estimated(replace(one, beliefs=both / both.sum((1, 2, 3), keepdim=True))))
+            weights = likelihood_ratios(one.log_likelihoods).unflatten(1, one.window.shape)
+            earlier = one.strides.looked_back(later * weights[:, None])
+            earlier = one.window.spread(earlier / earlier.amax((1, 2, 3), keepdim=True)).clamp(
+                min=LEAST_WEIGHT
+            )
+            messages = torch.where(present[:, None, None, None], earlier, messages)
+        return stacked([self._estimated(one) for one in passed]), stacked(smoothed[::-1])
 
-    def _advanced(self, state: LearnedGridState, intervals: Intervals) -> tuple[LearnedGridState, _Weighed]:
-        """Return the state after an interval, and what it said."""
-        grid = state.coarse.grid
-        coarse, heard = self._coarse.step(state.coarse, intervals)
-        hears = heard.heard.any(-1)
-        moved = self._coarse.walk.moved(state.beliefs, heard.dt_s, grid.cell_m)
-        powers = torch.where(hears, self._powers(moved, heard.since_s), 0.0)
-        log_likelihoods = powers[:, None] * (grid.plan_log + self._log_likelihoods(heard))
-        updated = posterior(moved, log_likelihoods)
-        beliefs = torch.where(intervals.present[:, None, None, None], updated, state.beliefs)
-        return LearnedGridState(coarse, beliefs), _Weighed(log_likelihoods, heard.dt_s, hears)
+    def _advanced(self, state: LearnedGridState, intervals: Intervals) -> tuple[LearnedGridState, _Passed]:
+        """Return the state after an interval, and how it came about."""
+        coarse, heard = self._coarse.step(state.coarse, intervals, state.beliefs)
+        moved, hears = heard.moved, heard.heard.any(-1)
+        powers = torch.where(hears, self._powers(moved.now, heard.since_s), 0.0)
+        log_likelihoods = powers[:, None] * (moved.window.plan_log + self._log_likelihoods(heard))
+        beliefs = moved.settled(posterior(moved.now, log_likelihoods), intervals.present)
+        new = LearnedGridState(coarse, moved.window.spread(beliefs))
+        return new, _Passed(moved.window, moved.strides, log_likelihoods, hears, beliefs)
 
-    def _estimated(self, grid: BeliefGrid, beliefs: Tensor, hears: Tensor) -> Estimate:
-        """Return mean and covariance of beliefs (B, G, X, Y), where something was heard."""
-        positions, covariances = grid.moments(beliefs.sum(1).double())
+    def _estimated(self, passed: _Passed) -> Estimate:
+        """Return mean and covariance of beliefs, where something was heard."""
+        positions, covariances = passed.window.moments(passed.beliefs.sum(1).double())
         unknowable = torch.eye(2, dtype=torch.float64) * self.settings.survey_m**2
-        reasons = torch.where(hears, int(NoFix.FIXED), int(NoFix.NO_READING))
+        reasons = torch.where(passed.hears, int(NoFix.FIXED), int(NoFix.NO_READING))
         return estimate(positions, covariances + unknowable, reasons)
 
     def _powers(self, beliefs: Tensor, since_s: Tensor) -> Tensor:

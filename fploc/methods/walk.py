@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.methods.belief_grid import moved
+from fploc.methods.belief_grid import filtered, kernels, reach_of
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,41 @@ class WalkSettings:
     dawdling_s: float
     keeps_s: float
     walking_share: float
+
+
+@dataclass(frozen=True)
+class Strides:
+    """Where a stretch of time takes every gait of a batch of devices.
+
+    Args:
+        kernels: How far ahead, along x and y, shape (B, G, 2, K).
+        shares: Of those who had gait h before, how many have g after, shape (B, G, H).
+    """
+
+    kernels: Tensor
+    shares: Tensor
+
+    @property
+    def reach(self) -> int:
+        """Cells that nobody gets beyond."""
+        return self.kernels.shape[-1] // 2
+
+    def onwards(self, beliefs: Tensor) -> Tensor:
+        """Return where everybody is afterwards, from beliefs (…, B, G, X, Y); what leaves the grid is lost."""
+        return _exchanged(self.shares, filtered(beliefs, self.kernels))
+
+    def looked_back(self, messages: Tensor) -> Tensor:
+        """Return how likely what comes is from each cell and gait: the adjoint of ``onwards``.
+
+        Args:
+            messages: How likely what comes is from where somebody is afterwards, shape (B, G, X, Y).
+        """
+        return filtered(_exchanged(self.shares.mT, messages), self.kernels.flip(-1))
+
+
+def _exchanged(shares: Tensor, beliefs: Tensor) -> Tensor:
+    """Return sums over gaits of beliefs (…, B, H, X, Y), weighed by shares (B, G, H)."""
+    return (shares.to(beliefs.dtype) @ beliefs.flatten(-2)).view(beliefs.shape)
 
 
 class Walk:
@@ -66,47 +101,31 @@ class Walk:
         """Return beliefs of every gait, shape (B, G, X, Y), float32, of somebody who is at ``beliefs`` (B, X, Y)."""
         return (beliefs[:, None] * self._shares[:, None, None]).float()
 
-    def moved(self, beliefs: Tensor, dt_s: Tensor, cell_m: float) -> Tensor:
-        """Return where everybody is ``dt_s`` (B,) later.
+    def strides(self, dt_s: Tensor, cell_m: float, *, farthest: int) -> Strides:
+        """Return where ``dt_s`` (B,) takes everybody.
 
         Who keeps a gait goes on by v·τ(1 − exp(−dt/τ)): the mean of a walk that is kept for τ; the variance of
         such a walk is added. Others start anew at what people do on average.
 
         Args:
-            beliefs: Shape (B, G, X, Y).
             dt_s: Shape (B,), seconds.
             cell_m: Side of a cell, metres.
+            farthest: Cells of the grid along its longer side.
         """
-        kept, shifts, variances = self._ways(dt_s, cell_m)
-        ahead = moved(beliefs, shifts, variances)
-        kept = kept.to(beliefs.dtype)
-        return kept * ahead + (1 - kept) * self._shares_like(beliefs) * ahead.sum(1, keepdim=True)
-
-    def looked_back(self, messages: Tensor, dt_s: Tensor, cell_m: float) -> Tensor:
-        """Return how likely what came ``dt_s`` (B,) later is from each cell and gait: the adjoint of ``moved``.
-
-        Args:
-            messages: How likely what came is from where somebody is later, shape (B, G, X, Y).
-            dt_s: Shape (B,), seconds.
-            cell_m: Side of a cell, metres.
-        """
-        kept, shifts, variances = self._ways(dt_s, cell_m)
-        kept = kept.to(messages.dtype)
-        anew = (self._shares_like(messages) * messages).sum(1, keepdim=True)
-        return moved(kept * messages + (1 - kept) * anew, -shifts, variances)
-
-    def _ways(self, dt_s: Tensor, cell_m: float) -> tuple[Tensor, Tensor, Tensor]:
-        """Return who keeps a gait, shape (B, 1, 1, 1), and shifts (B, G, 2) and variances (B, G) in cells."""
         keeps_s = self.settings.keeps_s
         kept = torch.exp(-dt_s / keeps_s)
         ahead_s = keeps_s * (1 - kept)
         meanders_s2 = (keeps_s * (dt_s - ahead_s) - ahead_s.square() / 2).clamp(min=0.0)
-        shifts = self._velocities * ahead_s[:, None, None]
-        variances = self._speeds.square() * meanders_s2[:, None] + self._strays * dt_s[:, None]
-        return kept[:, None, None, None], shifts / cell_m, variances / cell_m**2
-
-    def _shares_like(self, beliefs: Tensor) -> Tensor:
-        return self._shares.to(beliefs.dtype)[:, None, None]
+        shifts = self._velocities * ahead_s[:, None, None] / cell_m
+        strayed_m2 = self._speeds.square() * meanders_s2[:, None] + self._strays * dt_s[:, None]
+        variances = strayed_m2 / cell_m**2
+        reach = min(reach_of(shifts, variances), farthest)
+        kept = kept[:, None, None]
+        keeping = torch.eye(len(self._shares), dtype=kept.dtype)
+        return Strides(
+            kernels(shifts, variances[..., None], reach),
+            kept * keeping + (1 - kept) * self._shares[:, None],
+        )
 
     def mean_speeds_mps(self, beliefs: Tensor) -> Tensor:
         """Return the mean speed of each device, shape (B,), metres per second, by beliefs (B, G, X, Y)."""

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fploc.methods.belief_grid import LEAST_WEIGHT, NEGLIGIBLE, kernels, moved, posterior
+from fploc.methods.belief_grid import LEAST_WEIGHT, NEGLIGIBLE, BeliefGrid, banded, kernels, moved, posterior
+from fploc.sites.site import AccessPoint, Site
 
 
 @given(st.floats(-9.0, 9.0), st.floats(0.3, 4.0))
@@ -70,3 +74,72 @@ def test_negligible_cells_are_dropped_and_something_always_stays() -> None:
     lone = posterior(torch.tensor([[[[1.0, 0.0]]]]), torch.tensor([[-1e4, 0.0]], dtype=torch.float64))
     assert torch.finfo(torch.float32).tiny < LEAST_WEIGHT
     torch.testing.assert_close(lone, torch.tensor([[[[1.0, 0.0]]]]))
+
+
+def test_what_is_negligible_is_so_in_all_beliefs_of_a_device_together() -> None:
+    before = torch.tensor([[[[0.9, 0.9 * NEGLIGIBLE]], [[0.1, 0.2 * NEGLIGIBLE]]]])
+    kept = posterior(before, torch.zeros(1, 2, dtype=torch.float64))
+    torch.testing.assert_close(kept, before / before.sum(), atol=0, rtol=1e-5)
+
+
+@given(st.integers(1, 9), st.integers(0, 6), st.integers(0, 99))
+def test_banded_matrices_convolve(cells: int, reach: int, seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    taps, values = torch.rand(2 * reach + 1, generator=generator), torch.rand(cells, generator=generator)
+    whole = torch.from_numpy(np.convolve(values.numpy(), taps.numpy()))
+    torch.testing.assert_close(banded(taps, cells) @ values, whole[reach : reach + cells])
+
+
+SITE = Site(
+    name="box",
+    place="box",
+    access_points=(
+        AccessPoint("AP0", "00:00:00:00:00:00", 0.0, 0.0, 2.0),
+        AccessPoint("AP1", "00:00:00:00:00:01", 8.0, 6.0, 2.0),
+    ),
+    device_height_m=1.0,
+)
+GRID = BeliefGrid.over(SITE, cell_m=0.5, margin_m=1.0)
+
+
+def somewhere(*places: tuple[int, int]) -> torch.Tensor:
+    """Return two beliefs of each device, both at its cell, shape (B, 2, X, Y)."""
+    beliefs = torch.zeros(len(places), 2, len(GRID.xs_m), len(GRID.ys_m))
+    for device, (x, y) in enumerate(places):
+        beliefs[device, 0, x, y], beliefs[device, 1, x, y] = 0.75, 0.25
+    return beliefs
+
+
+@given(st.integers(0, 19), st.integers(0, 15), st.integers(0, 20))
+def test_a_window_holds_all_beliefs_and_what_they_reach(x: int, y: int, reach: int) -> None:
+    beliefs, others = somewhere((x, y), (10, 8)), somewhere((x, y), (12, 8))
+    window = GRID.around([beliefs, others], reach)
+    assert window.shape == (min(20, 3 + 2 * reach), min(16, 1 + 2 * reach))
+    for one in (beliefs, others):
+        torch.testing.assert_close(window.spread(window.cut(one)), one, atol=0, rtol=0)
+    for near in range(-reach, reach + 1):
+        if 0 <= x + near < 20:
+            assert x + near in window.rows[0]
+        if 0 <= y + near < 16:
+            assert y + near in window.columns[0]
+
+
+def test_a_window_knows_the_cells_of_its_grid() -> None:
+    grid = replace(GRID, plan_log=torch.arange(len(GRID.cells_m), dtype=torch.float64))
+    window = grid.around([somewhere((3, 4), (11, 15))], reach=2)
+    for device in range(2):
+        cells = torch.cartesian_prod(grid.xs_m[window.rows[device]], grid.ys_m[window.columns[device]])
+        torch.testing.assert_close(grid.cells_m[window.cells[device]], cells, atol=0, rtol=0)
+        torch.testing.assert_close(window.distances_m[device], grid.distances_m[:, window.cells[device]])
+    torch.testing.assert_close(window.plan_log, window.cells.double())
+
+
+def test_a_window_sees_the_moments_of_the_whole() -> None:
+    beliefs = moved(somewhere((6, 7), (10, 8)), torch.zeros(2, 2, 2), torch.full((2, 2), 0.4))
+    window = GRID.around([beliefs], reach=0)
+    for part, whole in zip(
+        window.moments(window.cut(beliefs).sum(1).double()),
+        GRID.moments(beliefs.sum(1).double()),
+        strict=True,
+    ):
+        torch.testing.assert_close(part, whole, atol=1e-9, rtol=0)

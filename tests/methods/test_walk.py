@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fploc.methods.walk import Walk, WalkSettings
+from fploc.methods.walk import Strides, Walk, WalkSettings
 
 SETTINGS = WalkSettings(
     speed_prior_mps=1.0,
@@ -44,8 +44,12 @@ def variance_m2(beliefs: torch.Tensor) -> float:
     return float(total.sum(1) @ (CENTRES_M - mean).square())
 
 
+def strides(*dt_s: float, cells: int = CELLS) -> Strides:
+    return WALK.strides(torch.tensor(dt_s, dtype=torch.float64), CELL_M, farthest=cells)
+
+
 def after(beliefs: torch.Tensor, dt_s: float) -> torch.Tensor:
-    return WALK.moved(beliefs, torch.tensor([dt_s], dtype=torch.float64), CELL_M)
+    return strides(dt_s).onwards(beliefs)
 
 
 def test_a_belief_begins_with_every_gait_at_its_share() -> None:
@@ -101,7 +105,7 @@ def test_the_mean_speed_is_that_of_the_gaits() -> None:
 
 def test_devices_do_not_mix() -> None:
     both = torch.cat([in_the_middle(1), in_the_middle(5)])
-    together = WALK.moved(both, torch.tensor([0.4, 2.0], dtype=torch.float64), CELL_M)
+    together = strides(0.4, 2.0).onwards(both)
     for device, (gait, dt_s) in enumerate([(1, 0.4), (5, 2.0)]):
         alone = after(in_the_middle(gait), dt_s)[0]
         torch.testing.assert_close(together[device], alone, atol=1e-6, rtol=0)
@@ -110,7 +114,16 @@ def test_devices_do_not_mix() -> None:
 def test_looking_back_is_the_adjoint_of_going_on() -> None:
     generator = torch.Generator().manual_seed(0)
     before, after_them = torch.rand(2, 2, 9, 13, 11, generator=generator, dtype=torch.float64)
-    dt_s = torch.tensor([0.4, 3.0], dtype=torch.float64)
-    onwards = (WALK.moved(before, dt_s, CELL_M) * after_them).sum((1, 2, 3))
-    back = (before * WALK.looked_back(after_them, dt_s, CELL_M)).sum((1, 2, 3))
+    way = strides(0.4, 3.0, cells=13)
+    onwards = (way.onwards(before) * after_them).sum((1, 2, 3))
+    back = (before * way.looked_back(after_them)).sum((1, 2, 3))
     torch.testing.assert_close(onwards, back, atol=0, rtol=1e-9)
+
+
+def test_nobody_gets_beyond_the_reach() -> None:
+    beliefs = in_the_middle(1) + in_the_middle(3)
+    there = strides(2.0).onwards(beliefs).sum((0, 1)) > 0
+    reach, middle = strides(2.0).reach, CELLS // 2
+    for axis in (0, 1):
+        (at,) = torch.nonzero(there.any(axis), as_tuple=True)
+        assert int((at - middle).abs().max()) <= reach < middle
