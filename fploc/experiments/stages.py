@@ -12,9 +12,10 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -112,7 +113,7 @@ class StageBook:
             self._finish(stage, time.perf_counter() - started, labels)
 
     def run_side_by_side(self, stages: Sequence[Stage], workers: int, run_by_name: RunByName) -> None:
-        """Run those of ``stages`` that are not done in ``workers`` processes.
+        """Run those of ``stages`` that are not done in ``workers`` processes; none of them outlives this one's end.
 
         Args:
             stages: In an order in which they could run one after the other.
@@ -131,19 +132,20 @@ class StageBook:
             workers, mp_context=context, initializer=_prepare_process, initargs=(threads,)
         )
         try:
-            while waiting or running:
-                unfinished = set(waiting) | {stage.name for stage in running.values()}
-                for stage in list(waiting.values()):
-                    if len(running) < workers and not unfinished.intersection(stage.after):
-                        done_before = left - len(waiting) - len(running)
-                        passed_s = time.perf_counter() - began
-                        _say(f"{labels[stage.name]} …{_time_left(done_before, left, passed_s)}")
-                        self._forget(stage, stages)
-                        running[pool.submit(_timed, run_by_name, stage.name)] = waiting.pop(stage.name)
-                done, _ = wait(running, return_when=FIRST_COMPLETED)
-                for future in sorted(done, key=_has_failed):
-                    self._finish(running[future], future.result(), labels)
-                    del running[future]
+            with _interrupted_by_termination():
+                while waiting or running:
+                    unfinished = set(waiting) | {stage.name for stage in running.values()}
+                    for stage in list(waiting.values()):
+                        if len(running) < workers and not unfinished.intersection(stage.after):
+                            done_before = left - len(waiting) - len(running)
+                            passed_s = time.perf_counter() - began
+                            _say(f"{labels[stage.name]} …{_time_left(done_before, left, passed_s)}")
+                            self._forget(stage, stages)
+                            running[pool.submit(_timed, run_by_name, stage.name)] = waiting.pop(stage.name)
+                    done, _ = wait(running, return_when=FIRST_COMPLETED)
+                    for future in sorted(done, key=_has_failed):
+                        self._finish(running[future], future.result(), labels)
+                        del running[future]
         except BrokenProcessPool as error:
             raise FplocError(
                 f"a process of {' or '.join(stage.name for stage in running.values())}",
@@ -225,6 +227,16 @@ def _interrupt_once(number: int, frame: FrameType | None) -> None:
     """Let the first interruption stop the stage, and none its cleaning up."""
     signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
+
+
+@contextmanager
+def _interrupted_by_termination() -> Iterator[None]:
+    """Take SIGTERM, which a scheduler or a container sends, as an interruption."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _interrupt_children() -> None:

@@ -173,10 +173,15 @@ def test_a_failure_stops_all_is_told_as_it_was_and_leaves_the_finished_ones(
     assert multiprocessing.active_children() == []
 
 
-def test_an_interruption_reaches_the_stages_and_the_caller(work: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_reaches_the_stages_and_the_caller(
+    work: Any, tmp_path: Path, sent: signal.Signals
+) -> None:
+    before = signal.getsignal(sent)
+
     def interrupt() -> None:
         work.wait_for(tmp_path / "slow-began")
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), sent)
 
     person = threading.Thread(target=interrupt)
     person.start()
@@ -186,6 +191,7 @@ def test_an_interruption_reaches_the_stages_and_the_caller(work: Any, tmp_path: 
     assert (tmp_path / "slow-interrupted").exists()
     assert [one.name for one in StageBook(tmp_path / "book").left(work.waiting(tmp_path))] == ["slow"]
     assert multiprocessing.active_children() == []
+    assert signal.getsignal(sent) is before
 
 
 def test_stages_that_end_together_with_a_failure_are_kept(
