@@ -237,15 +237,9 @@ def moved(beliefs: Tensor, shifts: Tensor, variances: Tensor) -> Tensor:
         Shape (B, G, X, Y), of the type of ``beliefs``.
     """
     reach = min(reach_of(shifts, variances), max(beliefs.shape[2:]))
-    return filtered(beliefs, kernels(shifts, variances[..., None], reach))
-
-
-def filtered(beliefs: Tensor, taps: Tensor) -> Tensor:
-    """Return beliefs (…, B, G, X, Y), each convolved along x and along y with kernels (B, G, 2, K)."""
+    taps = kernels(shifts, variances[..., None], reach).to(beliefs.dtype)
     # As products of matrices: a convolution for each of many small images takes three times as long.
-    along_x, along_y = (
-        banded(taps[:, :, axis].to(beliefs.dtype), cells) for axis, cells in enumerate(beliefs.shape[-2:])
-    )
+    along_x, along_y = (banded(taps[:, :, axis], cells) for axis, cells in enumerate(beliefs.shape[2:]))
     return along_x @ beliefs @ along_y.mT
 
 

@@ -16,7 +16,7 @@ from torch import Tensor
 from fploc.intervals import Intervals
 from fploc.methods.belief_grid import BeliefGrid, Window, posterior, tempered
 from fploc.methods.link_evidence import LinkEvidence, RangeExpectation
-from fploc.methods.walk import Strides, Walk, WalkSettings
+from fploc.methods.walk import Transition, Walk, WalkSettings
 from fploc.sites.site import Site
 
 LOWEST_ERROR_M, ERROR_STEP_M, ERRORS = -12.0, 0.2, 260
@@ -86,13 +86,13 @@ class Moved:
 
     Args:
         window: Cells that anybody can be on by now.
-        strides: Where the time since the interval before took everybody.
+        transition: Where the time since the interval before took everybody.
         before: The belief at the interval before, shape (B, G, x, y).
         now: The belief, but for what the interval says, shape (B, G, x, y).
     """
 
     window: Window
-    strides: Strides
+    transition: Transition
     before: Tensor
     now: Tensor
 
@@ -189,19 +189,20 @@ class CoarseBelief:
         beliefs = [state.beliefs] if behind is None else [state.beliefs, behind]
         strides = self.walk.strides(dt_s, state.grid.cell_m, farthest=max(state.beliefs.shape[2:]))
         window = state.grid.around(beliefs, strides.reach)
-        before = torch.stack([window.cut(one) for one in beliefs])
-        moved = [Moved(window, strides, *one) for one in zip(before, strides.onwards(before), strict=True)]
+        transition = strides.on(window.shape)
+        cut = [window.cut(one) for one in beliefs]
+        moved = [Moved(window, transition, one, transition.onwards(one)) for one in cut]
         return moved[0], moved[-1]
 
     @staticmethod
     def _expected(distances_m: Tensor, beliefs: Tensor, likelihoods: Tensor) -> RangeExpectation:
         """Return what beliefs (B, x, y) expect of ranges, with and without the likelihoods (B, A, C) of each."""
-        weights = beliefs.flatten(1)[:, None, :]
-        by_all = (weights * distances_m).sum(-1)
+        weights = beliefs.flatten(1)
+        by_all = (distances_m @ weights[..., None])[..., 0]
         # Dividing a range's own likelihood out again leaves what the other ranges say.
-        others = weights / likelihoods
-        total, first = others.sum(-1), others * distances_m
-        mean, square = first.sum(-1) / total, (first * distances_m).sum(-1) / total
+        others = weights[:, None, :] / likelihoods
+        total, first = others.sum(-1), torch.linalg.vecdot(others, distances_m)
+        mean, square = first / total, torch.linalg.vecdot(others * distances_m, distances_m) / total
         spread = (square - mean.square()).clamp(min=SMALLEST_SPREAD_M**2).sqrt()
         return RangeExpectation(by_others=mean, spread=spread, by_all=by_all)
 

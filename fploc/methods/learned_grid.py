@@ -41,7 +41,7 @@ from fploc.methods.coarse_belief import (
 from fploc.methods.interface import Examples
 from fploc.methods.link_evidence import VIEWS
 from fploc.methods.range_lessons import LessonSettings, range_lessons, taught
-from fploc.methods.walk import Strides
+from fploc.methods.walk import Transition
 from fploc.models.range_error import RangeErrorNetwork, log_density
 from fploc.progress import track
 from fploc.sites.site import Site
@@ -132,14 +132,14 @@ class _Passed:
 
     Args:
         window: Cells that anybody could be on.
-        strides: Where the time since the interval before took everybody.
+        transition: Where the time since the interval before took everybody.
         log_likelihoods: What was heard says, tempered, shape (B, C).
         hears: True where a device heard something, shape (B,).
         beliefs: Behind the interval, shape (B, G, x, y).
     """
 
     window: Window
-    strides: Strides
+    transition: Transition
     log_likelihoods: Tensor
     hears: Tensor
     beliefs: Tensor
@@ -211,7 +211,7 @@ class LearnedGridFilter:
             both = one.beliefs * later
             smoothed.append(self._estimated(replace(one, beliefs=both / both.sum((1, 2, 3), keepdim=True))))
             weights = likelihood_ratios(one.log_likelihoods).unflatten(1, one.window.shape)
-            earlier = one.strides.looked_back(later * weights[:, None])
+            earlier = one.transition.looked_back(later * weights[:, None])
             earlier = one.window.spread(earlier / earlier.amax((1, 2, 3), keepdim=True)).clamp(
                 min=LEAST_WEIGHT
             )
@@ -226,7 +226,7 @@ class LearnedGridFilter:
         log_likelihoods = powers[:, None] * (moved.window.plan_log + self._log_likelihoods(heard))
         beliefs = moved.settled(posterior(moved.now, log_likelihoods), intervals.present)
         new = LearnedGridState(coarse, moved.window.spread(beliefs))
-        return new, _Passed(moved.window, moved.strides, log_likelihoods, hears, beliefs)
+        return new, _Passed(moved.window, moved.transition, log_likelihoods, hears, beliefs)
 
     def _estimated(self, passed: _Passed) -> Estimate:
         """Return mean and covariance of beliefs, where something was heard."""

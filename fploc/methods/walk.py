@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.methods.belief_grid import filtered, kernels, reach_of
+from fploc.methods.belief_grid import banded, kernels, reach_of
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class WalkSettings:
 
 @dataclass(frozen=True)
 class Strides:
-    """Where a stretch of time takes every gait of a batch of devices.
+    """How far a stretch of time takes every gait of a batch of devices.
 
     Args:
-        kernels: How far ahead, along x and y, shape (B, G, 2, K).
+        kernels: Along x and y, in cells, shape (B, G, 2, K).
         shares: Of those who had gait h before, how many have g after, shape (B, G, H).
     """
 
@@ -59,9 +59,32 @@ class Strides:
         """Cells that nobody gets beyond."""
         return self.kernels.shape[-1] // 2
 
+    def on(self, shape: tuple[int, int]) -> Transition:
+        """Return where they lead on so many cells along x and y."""
+        along_x, along_y = (
+            banded(self.kernels[:, :, axis].float(), cells) for axis, cells in enumerate(shape)
+        )
+        return Transition(along_x, along_y, self.shares)
+
+
+@dataclass(frozen=True)
+class Transition:
+    """Where a stretch of time takes whoever is on a cell.
+
+    Args:
+        along_x: From columns to rows, shape (B, G, X, X), float32.
+        along_y: From columns to rows, shape (B, G, Y, Y), float32.
+        shares: Of those who had gait h before, how many have g after, shape (B, G, H).
+    """
+
+    along_x: Tensor
+    along_y: Tensor
+    shares: Tensor
+
     def onwards(self, beliefs: Tensor) -> Tensor:
-        """Return where everybody is afterwards, from beliefs (…, B, G, X, Y); what leaves the grid is lost."""
-        return _exchanged(self.shares, filtered(beliefs, self.kernels))
+        """Return where everybody is afterwards, from beliefs (B, G, X, Y); what leaves the cells is lost."""
+        along_x, along_y = self.along_x.to(beliefs.dtype), self.along_y.to(beliefs.dtype)
+        return _exchanged(self.shares, along_x @ beliefs @ along_y.mT)
 
     def looked_back(self, messages: Tensor) -> Tensor:
         """Return how likely what comes is from each cell and gait: the adjoint of ``onwards``.
@@ -69,12 +92,13 @@ class Strides:
         Args:
             messages: How likely what comes is from where somebody is afterwards, shape (B, G, X, Y).
         """
-        return filtered(_exchanged(self.shares.mT, messages), self.kernels.flip(-1))
+        along_x, along_y = self.along_x.to(messages.dtype), self.along_y.to(messages.dtype)
+        return along_x.mT @ _exchanged(self.shares.mT, messages) @ along_y
 
 
 def _exchanged(shares: Tensor, beliefs: Tensor) -> Tensor:
-    """Return sums over gaits of beliefs (…, B, H, X, Y), weighed by shares (B, G, H)."""
-    return (shares.to(beliefs.dtype) @ beliefs.flatten(-2)).view(beliefs.shape)
+    """Return sums over gaits of beliefs (B, H, X, Y), weighed by shares (B, G, H)."""
+    return (shares.to(beliefs.dtype) @ beliefs.flatten(2)).view(beliefs.shape)
 
 
 class Walk:

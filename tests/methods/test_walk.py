@@ -49,7 +49,7 @@ def strides(*dt_s: float, cells: int = CELLS) -> Strides:
 
 
 def after(beliefs: torch.Tensor, dt_s: float) -> torch.Tensor:
-    return strides(dt_s).onwards(beliefs)
+    return strides(dt_s).on((CELLS, CELLS)).onwards(beliefs)
 
 
 def test_a_belief_begins_with_every_gait_at_its_share() -> None:
@@ -105,7 +105,7 @@ def test_the_mean_speed_is_that_of_the_gaits() -> None:
 
 def test_devices_do_not_mix() -> None:
     both = torch.cat([in_the_middle(1), in_the_middle(5)])
-    together = strides(0.4, 2.0).onwards(both)
+    together = strides(0.4, 2.0).on((CELLS, CELLS)).onwards(both)
     for device, (gait, dt_s) in enumerate([(1, 0.4), (5, 2.0)]):
         alone = after(in_the_middle(gait), dt_s)[0]
         torch.testing.assert_close(together[device], alone, atol=1e-6, rtol=0)
@@ -114,7 +114,7 @@ def test_devices_do_not_mix() -> None:
 def test_looking_back_is_the_adjoint_of_going_on() -> None:
     generator = torch.Generator().manual_seed(0)
     before, after_them = torch.rand(2, 2, 9, 13, 11, generator=generator, dtype=torch.float64)
-    way = strides(0.4, 3.0, cells=13)
+    way = strides(0.4, 3.0, cells=13).on((13, 11))
     onwards = (way.onwards(before) * after_them).sum((1, 2, 3))
     back = (before * way.looked_back(after_them)).sum((1, 2, 3))
     torch.testing.assert_close(onwards, back, atol=0, rtol=1e-9)
@@ -122,7 +122,7 @@ def test_looking_back_is_the_adjoint_of_going_on() -> None:
 
 def test_nobody_gets_beyond_the_reach() -> None:
     beliefs = in_the_middle(1) + in_the_middle(3)
-    there = strides(2.0).onwards(beliefs).sum((0, 1)) > 0
+    there = after(beliefs, 2.0).sum((0, 1)) > 0
     reach, middle = strides(2.0).reach, CELLS // 2
     for axis in (0, 1):
         (at,) = torch.nonzero(there.any(axis), as_tuple=True)
