@@ -26,7 +26,9 @@ SHORTEST_S = 1e-6
 LONGEST_WAIT_S = 5.0
 """Told to a phone: by then its turn may be farther away than it was, or the line gone."""
 SHEDDING_S = 2.0
-"""Time after a refusal for which the server says that it sheds load; without one the line is dissolved."""
+"""Time after a refusal for which the server says that it sheds load."""
+SHORTEST_LINE_S = 1.0
+"""Phones are told whole seconds: a line that moves faster costs more than it spares, where the server keeps up."""
 MOST_PHONES = 10_000
 
 
@@ -113,7 +115,7 @@ class UploadTurns:
         self._came_out_per_s += -math.expm1(-took_s / MEMORY_S) * (came_out_per_s - self._came_out_per_s)
         self._pressures[site] = pressure
         pressure = max(self._pressures.values())
-        if pressure <= 1.0 and not self.is_shedding:
+        if pressure <= 1.0 and self.line_s < SHORTEST_LINE_S:
             self._rate_per_s = math.inf
             return
         if math.isinf(self._rate_per_s):

@@ -216,3 +216,21 @@ def test_past_capacity_uploads_ten_times_as_large_bring_far_less_than_ten_times_
         np.mean([phone.taken for phone in phones if phone.at_once == size]) for size in sizes.values()
     )
     assert large < 5 * small
+
+
+def test_phones_that_ask_in_step_do_not_keep_a_line_alive_that_nobody_needs() -> None:
+    clock = Clock()
+    turns = UploadTurns(clock)
+    phones = [SimulatedPhone(is_rude=False, at_once=AT_ONCE, not_before_s=0.0) for _ in range(50)]
+    waiting, line_s = 0.0, []
+    for step in range(int(60.0 / TICK_S)):
+        clock.now_s = step * TICK_S
+        brought = [phone.upload(turns, str(index), clock.now_s) for index, phone in enumerate(phones)]
+        waiting += sum(brought)
+        # The server stands still for three seconds; then it does twice the work that there is.
+        used = 0.0 if 5.0 <= clock.now_s < 8.0 else min(waiting, 2 * len(phones))
+        waiting -= used
+        turns.note_tick("box", waiting / 500, int(used))
+        line_s.append(turns.line_s)
+    assert max(line_s) > 0.5
+    assert not any(line_s[len(line_s) // 2 :])
