@@ -175,6 +175,7 @@ class SiteService:
         """Tick forever."""
         period_s = self.settings.tick_ms / 1000.0
         due = time.monotonic() + period_s
+        held_up_before_s = 0.0
         while True:
             asked = max(due, time.monotonic())
             await asyncio.sleep(asked - time.monotonic())
@@ -189,10 +190,13 @@ class SiteService:
                 log.exception("tick %d of %s", self.tick_number, self.name)
                 self.is_failing = True
             self._metrics.latency.labels(self.name).observe(time.monotonic() - due)
+            held_up_s = began - asked
             pressure = max(
-                (began - asked) / (self.settings.late_share * period_s),
+                # A single hiccup is no overload.
+                min(held_up_s, held_up_before_s) / (self.settings.late_share * period_s),
                 self.session.waiting / (self.settings.waiting_share * self.settings.most_waiting),
             )
+            held_up_before_s = held_up_s
             self._uploads.note_tick(self.name, pressure, used)
             self._metrics.upload_wait.set(self._uploads.line_s)
             due += period_s
