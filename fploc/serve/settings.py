@@ -14,7 +14,7 @@ class ServeSettings:
     Args:
         tick_ms: Time between ticks.
         speed_prior_mps: How fast filters take people to be, metres per second; `--speed-prior` takes its place.
-        late_share: Share of a tick after which one that has not begun is late: after two, phones must upload less often.
+        late_share: Share of a tick after which one that has not begun is late: after two, phones take turns.
         waiting_share: Share of ``most_waiting`` after which so much waits behind a tick that phones must upload less.
         compute_share: Share of a tick after which no further round of intervals is begun.
         most_at_once: Devices in one batch; the ones that wait longest go first.
