@@ -70,6 +70,16 @@ class Cost:
     commit: str | None
 
 
+@contextmanager
+def _interrupted_by_termination() -> Iterator[None]:
+    """Take SIGTERM, which a scheduler or a container sends, as an interruption."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 class StageBook:
     """Remembers finished stages in a folder, one file each.
 
@@ -112,6 +122,7 @@ class StageBook:
             stage.run()
             self._finish(stage, time.perf_counter() - started, labels)
 
+    @_interrupted_by_termination()
     def run_side_by_side(self, stages: Sequence[Stage], workers: int, run_by_name: RunByName) -> None:
         """Run those of ``stages`` that are not done in ``workers`` processes; none of them outlives this one's end.
 
@@ -132,20 +143,19 @@ class StageBook:
             workers, mp_context=context, initializer=_prepare_process, initargs=(threads,)
         )
         try:
-            with _interrupted_by_termination():
-                while waiting or running:
-                    unfinished = set(waiting) | {stage.name for stage in running.values()}
-                    for stage in list(waiting.values()):
-                        if len(running) < workers and not unfinished.intersection(stage.after):
-                            done_before = left - len(waiting) - len(running)
-                            passed_s = time.perf_counter() - began
-                            _say(f"{labels[stage.name]} …{_time_left(done_before, left, passed_s)}")
-                            self._forget(stage, stages)
-                            running[pool.submit(_timed, run_by_name, stage.name)] = waiting.pop(stage.name)
-                    done, _ = wait(running, return_when=FIRST_COMPLETED)
-                    for future in sorted(done, key=_has_failed):
-                        self._finish(running[future], future.result(), labels)
-                        del running[future]
+            while waiting or running:
+                unfinished = set(waiting) | {stage.name for stage in running.values()}
+                for stage in list(waiting.values()):
+                    if len(running) < workers and not unfinished.intersection(stage.after):
+                        done_before = left - len(waiting) - len(running)
+                        passed_s = time.perf_counter() - began
+                        _say(f"{labels[stage.name]} …{_time_left(done_before, left, passed_s)}")
+                        self._forget(stage, stages)
+                        running[pool.submit(_timed, run_by_name, stage.name)] = waiting.pop(stage.name)
+                done, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in sorted(done, key=_has_failed):
+                    self._finish(running[future], future.result(), labels)
+                    del running[future]
         except BrokenProcessPool as error:
             raise FplocError(
                 f"a process of {' or '.join(stage.name for stage in running.values())}",
@@ -227,16 +237,6 @@ def _interrupt_once(number: int, frame: FrameType | None) -> None:
     """Let the first interruption stop the stage, and none its cleaning up."""
     signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
-
-
-@contextmanager
-def _interrupted_by_termination() -> Iterator[None]:
-    """Take SIGTERM, which a scheduler or a container sends, as an interruption."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _interrupt_children() -> None:

@@ -239,8 +239,13 @@ def moved(beliefs: Tensor, shifts: Tensor, variances: Tensor) -> Tensor:
     reach = min(reach_of(shifts, variances), max(beliefs.shape[2:]))
     taps = kernels(shifts, variances[..., None], reach).to(beliefs.dtype)
     # As products of matrices: a convolution for each of many small images takes three times as long.
-    along_x, along_y = (banded(taps[:, :, axis], cells) for axis, cells in enumerate(beliefs.shape[2:]))
+    along_x, along_y = along_axes(taps, beliefs.shape[2:])
     return along_x @ beliefs @ along_y.mT
+
+
+def along_axes(taps: Tensor, shape: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """Return matrices (B, G, X, X) and (B, G, Y, Y) that convolve X and Y cells with kernels (B, G, 2, K)."""
+    return banded(taps[:, :, 0], shape[0]), banded(taps[:, :, 1], shape[1])
 
 
 def banded(taps: Tensor, cells: int) -> Tensor:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.methods.belief_grid import banded, kernels, reach_of
+from fploc.methods.belief_grid import along_axes, kernels, reach_of
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,7 @@ class Strides:
 
     def on(self, shape: tuple[int, int]) -> Transition:
         """Return where they lead on so many cells along x and y."""
-        along_x, along_y = (
-            banded(self.kernels[:, :, axis].float(), cells) for axis, cells in enumerate(shape)
-        )
-        return Transition(along_x, along_y, self.shares)
+        return Transition(*along_axes(self.kernels.float(), shape), self.shares)
 
 
 @dataclass(frozen=True)

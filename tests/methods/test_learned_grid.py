@@ -157,7 +157,7 @@ def test_a_batch_is_the_devices_one_by_one() -> None:
         for device, one in enumerate(alone):
             own = interval(places[device : device + 1] + 0.1 * step, t_s=0.4 * step)
             alone[device], found = method.step(one, own)
-            torch.testing.assert_close(found.positions[0], together.positions[device], atol=1e-5, rtol=0)
+            torch.testing.assert_close(found.positions[0], together.positions[device], atol=1e-6, rtol=0)
 
 
 def test_a_kept_state_goes_on_where_it_was() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,23 +161,45 @@ class SimulatedPhone:
         return brought
 
 
-def simulated(phones: list[SimulatedPhone], work_per_s: float, most_waiting: float) -> list[float]:
-    """Return what waited at every tick of a server that works at a rate on requests and what they bring."""
-    clock = Clock()
-    turns = UploadTurns(clock)
-    waiting, waited = 0.0, []
+def ticks(
+    turns: UploadTurns,
+    clock: Clock,
+    phones: list[SimulatedPhone],
+    work_per_s: Callable[[float], float],
+    most_waiting: float,
+    *,
+    spread_s: float,
+) -> Iterator[float]:
+    """Yield what waits at every tick of a server that works at a rate on requests and what they bring.
+
+    Args:
+        turns: Of the server.
+        clock: Of ``turns``.
+        phones: Those that upload.
+        work_per_s: By the time, seconds.
+        most_waiting: With so much the server is behind.
+        spread_s: Between the first phone of a tick and the last.
+    """
+    waiting = 0.0
     for step in range(int(SIMULATED_S / TICK_S)):
         requests = 0
         for index, phone in enumerate(phones):
-            clock.now_s = step * TICK_S + TICK_S * index / len(phones)
+            clock.now_s = step * TICK_S + spread_s * index / len(phones)
             brought = phone.upload(turns, str(index), clock.now_s)
             waiting += brought
             requests += brought > 0
-        used = min(waiting, max(0.0, TICK_S * work_per_s - READING_SETS_OF_A_REQUEST * requests))
+        work = TICK_S * work_per_s(step * TICK_S)
+        used = min(waiting, max(0.0, work - READING_SETS_OF_A_REQUEST * requests))
         waiting -= used
         turns.note_tick("box", waiting / most_waiting, int(used))
-        waited.append(waiting)
-    return waited
+        yield waiting
+
+
+def simulated(phones: list[SimulatedPhone], work_per_s: float, most_waiting: float) -> list[float]:
+    """Return what waited at every tick of a server that always works alike, its phones spread over the tick."""
+    clock = Clock()
+    turns = UploadTurns(clock)
+    return list(ticks(turns, clock, phones, lambda _: work_per_s, most_waiting, spread_s=TICK_S))
 
 
 def jain(shares: list[int]) -> float:
@@ -222,15 +245,12 @@ def test_phones_that_ask_in_step_do_not_keep_a_line_alive_that_nobody_needs() ->
     clock = Clock()
     turns = UploadTurns(clock)
     phones = [SimulatedPhone(is_rude=False, at_once=AT_ONCE, not_before_s=0.0) for _ in range(50)]
-    waiting, line_s = 0.0, []
-    for step in range(int(60.0 / TICK_S)):
-        clock.now_s = step * TICK_S
-        brought = [phone.upload(turns, str(index), clock.now_s) for index, phone in enumerate(phones)]
-        waiting += sum(brought)
-        # The server stands still for three seconds; then it does twice the work that there is.
-        used = 0.0 if 5.0 <= clock.now_s < 8.0 else min(waiting, 2 * len(phones))
-        waiting -= used
-        turns.note_tick("box", waiting / 500, int(used))
-        line_s.append(turns.line_s)
+    work_per_s = 2 * len(phones) * (1 + READING_SETS_OF_A_REQUEST) / PERIOD_S
+
+    def stalling(now_s: float) -> float:
+        """The server stands still for three seconds; else it does twice the work that there is."""
+        return 0.0 if 5.0 <= now_s < 8.0 else work_per_s
+
+    line_s = [turns.line_s for _ in ticks(turns, clock, phones, stalling, 500, spread_s=0.0)]
     assert max(line_s) > 0.5
     assert not any(line_s[len(line_s) // 2 :])
