@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from fploc.cli import COMMANDS as ALL_COMMANDS
-from fploc.cli import main, make_parser
+from fploc.cli import main
+from fploc.commands.registry import NAMES, make_parser
 from fploc.datasets.build import build_sites
 from fploc.sites.made_up import made_up_site
 from fploc.sites.registry import load_spec
@@ -23,8 +23,8 @@ from fploc.sites.registry import load_spec
 FPLOC = Path(sys.executable).with_name("fploc")
 COMMANDS = [
     [],
-    *([name] for name in ALL_COMMANDS[""]),
-    *([name, own] for name, below in ALL_COMMANDS.items() if name for own in below),
+    *([name] for name in NAMES[""]),
+    *([name, own] for name, below in NAMES.items() if name for own in below),
 ]
 SCREEN = 24
 HEAVY = ("torch", "lightning", "mlflow", "timm", "torch_geometric", "pandas")
@@ -56,7 +56,7 @@ def test_help_is_a_table_of_contents_on_one_screen(
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= SCREEN and max(len(line) for line in lines) < 80
     listed = [re.match(r"    ([\w-]+) +[A-Z].*\.$", line) for line in lines]
-    assert [found[1] for found in listed if found] == list(ALL_COMMANDS[""])
+    assert [found[1] for found in listed if found] == list(NAMES[""])
 
 
 def completed(script: str, *words: str) -> set[str]:
@@ -72,7 +72,7 @@ def completed(script: str, *words: str) -> set[str]:
 def test_bash_completes_commands_options_and_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", "bash"]) == 0
     script = capsys.readouterr().out
-    assert completed(script, "fploc", "") == set(ALL_COMMANDS[""])
+    assert completed(script, "fploc", "") == set(NAMES[""])
     assert completed(script, "fploc", "data", "b") == {"build"}
     assert completed(script, "fploc", "evaluate", "--me") == {"--method"}
     assert {"nls", "nls-onesided"} <= completed(script, "fploc", "evaluate", "--method", "nl")
@@ -155,8 +155,8 @@ def test_refused_words_end_in_one_line(
     [
         (
             [],
-            "found no command, expected one of data, made-up, evaluate, reproduce, fit, tune, "
-            "model, synthesize, bench, serve, replay, completion;",
+            "found no command, expected one of data, made-up, evaluate, reproduce, tune, "
+            "model, synthesize, bench, serve, replay, completion, fit;",
         ),
         (["fly"], "found 'fly', expected one of data, made-up, evaluate,"),
         (["data"], "found no command, expected one of download, verify, build, describe, archive;"),

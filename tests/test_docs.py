@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
-from fploc.cli import make_parser
+from fploc.commands.registry import make_parser
 from fploc.evaluation.protocols import PROTOCOLS
 
 ROOT = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ import shlex
 import pytest
 import torch
 
-from fploc.cli import make_parser
+from fploc.commands.registry import make_parser
 from fploc.conf import conf_folder, instantiate, read_conf
 from fploc.evaluation.protocols import PROTOCOLS, protocol_of
 from fploc.experiments.preset import NETWORKS, PRESETS, read_ablation, read_preset
