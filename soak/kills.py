@@ -18,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import uvloop
 from served_building import (
     CHEAP_METHOD,
     Building,
@@ -177,7 +178,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="File to write it to.")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        found = asyncio.run(run(Building.make(Path(folder)), options.method, options.kills, options.seed))
+        found = uvloop.run(run(Building.make(Path(folder)), options.method, options.kills, options.seed))
     printed(found)
     if options.out is not None:
         written(options.out, found)

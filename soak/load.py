@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import uvloop
 from numpy.typing import NDArray
 from served_building import (
     CHEAP_METHOD,
@@ -273,7 +274,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             building = Building.make(Path(folder))
             with server(building, options.method) as process:
-                seen = asyncio.run(load(building, process, devices, options.seconds))
+                seen = uvloop.run(load(building, process, devices, options.seconds))
         found.append({"method": options.method, **seen})
         printed(found[-1])
         if options.out is not None:

@@ -64,8 +64,9 @@ DeviceName = Annotated[str, PathParameter(max_length=64)]
 Milliseconds = Annotated[float, Query(ge=0.0, le=LATEST_MS, allow_inf_nan=False)]
 
 
-def service_of(request: Request, site: SiteName) -> SiteService:
+async def service_of(request: Request, site: SiteName) -> SiteService:
     """Return the site that a request names."""
+    # Not a plain function: each of those would wait for a thread.
     return _known_site(request.app.state.services, site)
 
 
@@ -150,6 +151,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         "/v1/sites/{site}/measurements",
         dependencies=may_upload,
         status_code=202,
+        response_model=Receipt,
         openapi_extra={
             "requestBody": {
                 "required": True,
@@ -162,7 +164,7 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
             415: {"model": Refusal, "description": "It is not JSON."},
         },
     )
-    async def measurements(request: Request, service: Service) -> Receipt:
+    async def measurements(request: Request, service: Service) -> Response:
         """One reading set of a device, or a backlog of them; stored before it is answered."""
         kind = request.headers.get("content-type", "application/json").partition(";")[0].strip().lower()
         if kind != "application/json":
@@ -170,7 +172,8 @@ def make_app(sites: Sequence[ServedSite], store: Store, settings: ServeSettings)
         sender = sender_of(request.scope)
         service.require_room(sender)
         body = await limited_body(request, settings.most_body_bytes)
-        return await service.receive(Measurements.model_validate_json(body), sender)
+        receipt = await service.receive(Measurements.model_validate_json(body), sender)
+        return Response(receipt.model_dump_json(), status_code=202, media_type="application/json")
 
     @app.get("/v1/sites/{site}/positions", dependencies=may_read, response_model=Positions)
     async def positions(service: Service) -> Response:
