@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
 
@@ -19,7 +20,7 @@ CROP_WIDTH_M = 4.0
 """Extent of a crop across the link, H of the paper: 256 pixels at 64 px/m."""
 
 CROPS_AT_ONCE = 128
-"""Of like length, in evaluation."""
+"""Of like length."""
 
 
 def valid_columns(lengths_px: Tensor, patch_length_px: int, columns: int) -> Tensor:
@@ -70,16 +71,23 @@ class EncoderBlock(nn.Module):
         self.mlp = Mlp(dim, hidden_features=int(dim * mlp_ratio), drop=drop)
         self.drop_path = DropPath(drop_path)
 
-    def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
-        """Return the tokens (B, N, D) after attention over ``valid`` (B, N) and the FFNN."""
-        tokens = tokens + self.drop_path(self.attention(self.norm1(tokens), valid))
-        encoded: Tensor = tokens + self.drop_path(self.mlp(self.norm2(tokens)))
-        return encoded
+    def forward(self, tokens: Sequence[Tensor], valid: Sequence[Tensor]) -> list[Tensor]:
+        """Return batches of tokens (B, N, D) after attention over ``valid`` (B, N) and the FFNN.
+
+        Batches may differ in N; the norm of re-attention takes them for one.
+        """
+        attended = self.attention.together([self.norm1(one) for one in tokens], valid)
+        return [self._fed(one + self.drop_path(those)) for one, those in zip(tokens, attended, strict=True)]
 
     def maps(self, tokens: Tensor, valid: Tensor) -> Tensor:
         """Return the normalised maps (B, H, N, N) that the tokens (B, N, D) are attended with."""
         queries, keys, _ = self.attention.split(self.norm1(tokens))
-        return self.attention.maps(queries, keys, valid)
+        return self.attention.maps([queries], [keys], [valid])[0]
+
+    def _fed(self, tokens: Tensor) -> Tensor:
+        """Return the tokens (B, N, D) after the FFNN."""
+        encoded: Tensor = tokens + self.drop_path(self.mlp(self.norm2(tokens)))
+        return encoded
 
 
 @dataclass(frozen=True)
@@ -187,37 +195,35 @@ class DeepViT(nn.Module):
     def forward(self, images: Tensor, lengths_px: Tensor) -> Tensor:
         """Return the features of crops; see the class for shapes.
 
-        In evaluation, padding changes nothing: crops of like length then go together, and short ones are
-        spared the padding to the longest.
+        Padding changes nothing: crops of like length go together, and short ones are spared that to the longest.
         """
-        if self.training or len(images) <= CROPS_AT_ONCE:
-            return self.encoded(images, lengths_px)
+        if len(images) <= 1:
+            return self.encoded([images], [lengths_px])[0]
         order = lengths_px.argsort()
-        parts = [
-            self.encoded(images[chunk, :, :, : self.padded_px(lengths_px[chunk[-1]])], lengths_px[chunk])
-            for chunk in order.split(CROPS_AT_ONCE)
-        ]
-        return torch.cat(parts)[order.argsort()]
+        chunks = order.split(CROPS_AT_ONCE)
+        longest_px = lengths_px[torch.stack([chunk[-1] for chunk in chunks])].tolist()
+        cut = [images[one, :, :, : self.padded_px(px)] for one, px in zip(chunks, longest_px, strict=True)]
+        features = self.encoded(cut, [lengths_px[one] for one in chunks])
+        return torch.cat(features)[order.argsort()]
 
-    def padded_px(self, length_px: Tensor) -> int:
+    def padded_px(self, length_px: int) -> int:
         """Return the whole patches, in pixels, that hold a crop of ``length_px``; at least one."""
         patch_px = self.patch_px[1]
-        return max(1, ceil(int(length_px) / patch_px)) * patch_px
+        return max(1, ceil(length_px / patch_px)) * patch_px
 
-    def encoded(self, images: Tensor, lengths_px: Tensor) -> Tensor:
-        """Return the features of crops that are padded alike; arguments as ``forward``."""
-        tokens, valid = self.tokens(images, lengths_px)
+    def encoded(self, images: Sequence[Tensor], lengths_px: Sequence[Tensor]) -> list[Tensor]:
+        """Return the features of several batches of crops, each padded alike; arguments as ``forward``."""
+        tokens, valid = zip(*map(self.tokens, images, lengths_px), strict=True)
         for block in self.blocks:
             tokens = block(tokens, valid)
-        features: Tensor = self.head(self.mean_over_patches(tokens, valid))
-        return features
+        return [self.head(self.mean_over_patches(*one)) for one in zip(tokens, valid, strict=True)]
 
     def attention(self, images: Tensor, lengths_px: Tensor) -> CropAttention:
         """Return where the last encoder block looks; arguments as ``forward``."""
         tokens, valid = self.tokens(images, lengths_px)
         *earlier, last = self.blocks
         for block in earlier:
-            tokens = block(tokens, valid)
+            (tokens,) = block([tokens], [valid])
         assert isinstance(last, EncoderBlock)
         maps = last.maps(tokens, valid).mean(dim=1)
         on_grid = maps[:, :, 1:].unflatten(2, (self.rows, -1))

@@ -44,7 +44,9 @@ class StreamTask(pl.LightningModule):
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
         """Return Adam, as published."""
-        return torch.optim.Adam(self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay)
+        return torch.optim.Adam(
+            self.parameters(), lr=self.learning_rate, weight_decay=self.weight_decay, foreach=True
+        )
 
     def log_mean(self, name: str, value: Tensor, count: int) -> None:
         """Log a metric's mean over epoch and processes, weighted by the ``count`` of items in the batch."""

@@ -22,6 +22,7 @@ def network(norm: str = "batch", depth: int = 2) -> DeepViT:
         mlp_ratio=2.0,
         features=6,
         attention_norm=norm,
+        drop=0.0,
     ).eval()
     # Statistics as after a training, so that padding could be seen if it got in.
     for module in made.modules():
@@ -61,17 +62,25 @@ def test_a_patch_column_is_valid_where_it_starts_inside_the_crop() -> None:
     ]
 
 
+@pytest.mark.parametrize("training", [False, True], ids=["evaluation", "training"])
 @pytest.mark.parametrize("norm", ["batch", "layer", "none"])
 @torch.no_grad()
-def test_padding_further_changes_nothing(norm: str) -> None:
-    vision = network(norm)
+def test_padding_further_changes_nothing(norm: str, training: bool) -> None:
+    vision = network(norm).train(training)
     images, lengths_px = crops([3, 10, 17, 20], 20)
     expected = vision(images, lengths_px)
     assert expected.std(0).max() > 0
     for width in (25, 40):
         padded = torch.nn.functional.pad(images, (0, width - 20))
-        torch.testing.assert_close(vision(padded, lengths_px), expected)
-    torch.testing.assert_close(vision(images[:1, :, :, :5], lengths_px[:1]), expected[:1])
+        torch.testing.assert_close(vision.encoded([padded], [lengths_px])[0], expected)
+
+
+@torch.no_grad()
+def test_in_evaluation_crops_do_not_depend_on_each_other() -> None:
+    vision = network()
+    images, lengths_px = crops([3, 10, 17, 20], 20)
+    alone = vision(images[:1, :, :, :5], lengths_px[:1])
+    torch.testing.assert_close(alone, vision(images, lengths_px)[:1])
 
 
 @torch.no_grad()
@@ -86,25 +95,28 @@ def test_ink_in_padded_columns_is_not_seen() -> None:
     assert not torch.allclose(vision(scribbled, lengths_px)[0], vision(images, lengths_px)[0])
 
 
+@pytest.mark.parametrize("training", [False, True], ids=["evaluation", "training"])
 @pytest.mark.parametrize("norm", ["batch", "layer", "none"])
 @torch.no_grad()
-def test_crops_that_go_in_several_parts_keep_their_features_and_order(norm: str) -> None:
-    vision = network(norm).double()
+def test_crops_that_go_in_several_parts_keep_their_features_and_order(norm: str, training: bool) -> None:
+    vision = network(norm).double().train(training)
     lengths = torch.randint(0, 41, (3 * CROPS_AT_ONCE + 5,), generator=torch.Generator().manual_seed(4))
     images, lengths_px = crops(lengths.tolist(), 40)
     images = images.double()
-    torch.testing.assert_close(vision(images, lengths_px), vision.encoded(images, lengths_px))
+    torch.testing.assert_close(vision(images, lengths_px), vision.encoded([images], [lengths_px])[0])
 
 
 @torch.no_grad()
-def test_short_crops_are_not_padded_to_the_longest() -> None:
+def test_short_crops_are_not_padded_to_the_longest(monkeypatch: pytest.MonkeyPatch) -> None:
     vision = network()
     widths: list[int] = []
-    original = vision.encoded
-    vision.encoded = lambda images, lengths_px: (  # type: ignore[method-assign]
-        widths.append(images.shape[-1]),
-        original(images, lengths_px),
-    )[1]
+    tokens = vision.tokens
+
+    def watched(images: Tensor, lengths_px: Tensor) -> tuple[Tensor, Tensor]:
+        widths.append(images.shape[-1])
+        return tokens(images, lengths_px)
+
+    monkeypatch.setattr(vision, "tokens", watched)
     lengths = [40, *[0] * CROPS_AT_ONCE, *[12] * (CROPS_AT_ONCE - 1)]
     vision(*crops(lengths, 40))
     assert widths == [PATCH[1], 40]

@@ -8,7 +8,13 @@ from torch import Tensor
 from torch.nn.functional import scaled_dot_product_attention
 
 from fploc.errors import UnknownNameError
-from fploc.models.layers.reattention import ReAttention, attention_maps, mix_heads, near_identity
+from fploc.models.layers.reattention import (
+    BatchNormOfMaps,
+    ReAttention,
+    attention_maps,
+    mix_heads,
+    near_identity,
+)
 
 B, N, D, H, d = 2, 5, 7, 3, 4
 
@@ -96,15 +102,49 @@ def test_without_mixing_and_norm_it_is_plain_attention() -> None:
     torch.testing.assert_close(layer(tokens, valid), expected)
 
 
+@pytest.mark.parametrize("training", [False, True], ids=["evaluation", "training"])
 @pytest.mark.parametrize("norm", ["batch", "layer", "none"])
 @torch.no_grad()
-def test_result_does_not_depend_on_padding(norm: str) -> None:
-    layer, tokens = layer_of(norm), tokens_of()
+def test_result_does_not_depend_on_padding(norm: str, training: bool) -> None:
+    layer, tokens = layer_of(norm).train(training), tokens_of()
     alone = layer(tokens, torch.ones(B, N, dtype=torch.bool))
     for padding in (1, 4):
         padded = torch.cat([tokens, 50.0 * torch.randn(B, padding, D, dtype=torch.float64)], dim=1)
         valid = torch.arange(N + padding).expand(B, -1) < N
         torch.testing.assert_close(layer(padded, valid)[:, :N], alone)
+
+
+@pytest.mark.parametrize("training", [False, True], ids=["evaluation", "training"])
+@pytest.mark.parametrize("norm", ["batch", "layer", "none"])
+def test_batches_together_are_one_batch(norm: str, training: bool) -> None:
+    apart, padded = layer_of(norm).train(training), layer_of(norm).train(training)
+    lengths = torch.tensor([2, 3, 5, 4])
+    tokens = torch.randn(4, N, D, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
+    valid = torch.arange(N) < lengths[:, None]
+    whole = padded(tokens, valid)
+    parts = apart.together([tokens[:2, :3], tokens[2:]], [valid[:2, :3], valid[2:]])
+    torch.testing.assert_close(parts[0][valid[:2, :3]], whole[:2][valid[:2]])
+    torch.testing.assert_close(parts[1][valid[2:]], whole[2:][valid[2:]])
+    whole[valid].square().sum().backward()
+    sum(
+        one[those].square().sum() for one, those in zip(parts, (valid[:2, :3], valid[2:]), strict=True)
+    ).backward()
+    for one, other in zip(apart.parameters(), padded.parameters(), strict=True):
+        torch.testing.assert_close(one.grad, other.grad)
+    for one, other in zip(apart.buffers(), padded.buffers(), strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_without_padding_the_norm_of_maps_is_batch_norm() -> None:
+    torch.manual_seed(0)
+    ours, known = BatchNormOfMaps(H).double(), torch.nn.BatchNorm2d(H).double()
+    maps = torch.rand(B, H, N, N, dtype=torch.float64)
+    everything = torch.ones(B, N, dtype=torch.bool)
+    for _ in range(3):
+        torch.testing.assert_close(ours.together([maps], [everything])[0], known(maps))
+    assert ours.state_dict().keys() == known.state_dict().keys()
+    for one, other in zip(ours.buffers(), known.buffers(), strict=True):
+        torch.testing.assert_close(one, other)
 
 
 def test_maps_are_a_distribution_over_valid_keys() -> None:

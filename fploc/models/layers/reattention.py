@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from timm.layers.norm import LayerNorm2d
 from torch import Tensor, nn
@@ -39,12 +41,54 @@ def near_identity(heads: int, scale: float = 0.05) -> Tensor:
     return torch.eye(heads) + scale * torch.randn(heads, heads)
 
 
+class BatchNormOfMaps(nn.BatchNorm2d):
+    """Batch norm of maps (B, H, N, N) whose statistics are of the entries between tokens that are no padding."""
+
+    def together(self, maps: Sequence[Tensor], valid: Sequence[Tensor]) -> list[Tensor]:
+        """Return several batches of maps, of unlike N, normalised as one.
+
+        Args:
+            maps: Shape (B, H, N, N) each; columns of padding are 0.
+            valid: True for tokens that are no padding, shape (B, N) each.
+        """
+        if not self.training:
+            return [self(one) for one in maps]
+        mean, variance = self._counted(maps, valid)
+        scale = self.weight * (variance + self.eps).rsqrt()
+        shift = self.bias - mean * scale
+        return [one * scale[:, None, None] + shift[:, None, None] for one in maps]
+
+    def _counted(self, maps: Sequence[Tensor], valid: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Return mean and variance of each head, shape (H,), and take them into the running ones."""
+        wide = torch.promote_types(maps[0].dtype, torch.float32)
+        counts = torch.stack([one.sum(1).square().sum() for one in valid]).sum().to(wide)
+        mean = _sums(maps, valid, wide) / counts
+        squares = _sums([one.square() for one in maps], valid, wide) / counts
+        variance = (squares - mean.square()).clamp(min=0.0)
+        with torch.no_grad():
+            assert self.running_mean is not None and self.running_var is not None
+            assert self.num_batches_tracked is not None and self.momentum is not None
+            unbiased = variance * counts / (counts - 1).clamp(min=1.0)
+            self.running_mean.lerp_(mean.to(self.running_mean.dtype), self.momentum)
+            self.running_var.lerp_(unbiased.to(self.running_var.dtype), self.momentum)
+            self.num_batches_tracked += 1
+        return mean, variance
+
+
+def _sums(maps: Sequence[Tensor], valid: Sequence[Tensor], dtype: torch.dtype) -> Tensor:
+    """Return sums (H,) over all maps (B, H, N, N), of the rows (B, N) that are valid."""
+    rows = [one.sum(-1, dtype=dtype) for one in maps]
+    return torch.stack(
+        [(one * those[:, None]).sum((0, 2)) for one, those in zip(rows, valid, strict=True)]
+    ).sum(0)
+
+
 class ReAttention(nn.Module):
     """Re-Attention(Q, K, V) = Norm(Θᵀ softmax(QKᵀ/√d)) V, as a timm-style attention layer.
 
     Paper: Zhou et al., "DeepViT: Towards Deeper Vision Transformer", 2021, eq. 3; Yu et al., section
-    "DeepVIT block". Changed: tokens may be padding; the normalised maps of padded keys are set to 0, so
-    that in evaluation the result does not depend on how far a batch is padded.
+    "DeepVIT block". Changed: tokens may be padding; the normalised maps of padded keys are set to 0, and the
+    norm counts no padding, so that the result does not depend on how far a batch is padded.
 
     Args:
         dim: Width of the tokens, D.
@@ -79,7 +123,7 @@ class ReAttention(nn.Module):
         self.head_dim = head_dim
         self.qkv = nn.Linear(dim, 3 * num_heads * head_dim, bias=qkv_bias)
         self.theta = nn.Parameter(near_identity(num_heads))
-        norms = {"batch": nn.BatchNorm2d, "layer": LayerNorm2d, "none": nn.Identity}
+        norms = {"batch": BatchNormOfMaps, "layer": LayerNorm2d, "none": nn.Identity}
         if norm not in norms:
             raise UnknownNameError(
                 "norm of re-attention", norm, known=list(norms), way_out="correct `attention_norm`"
@@ -91,11 +135,13 @@ class ReAttention(nn.Module):
 
     def forward(self, tokens: Tensor, valid: Tensor) -> Tensor:
         """Return the attended tokens; see the class for shapes."""
-        queries, keys, values = self.split(tokens)
+        return self.together([tokens], [valid])[0]
+
+    def together(self, tokens: Sequence[Tensor], valid: Sequence[Tensor]) -> list[Tensor]:
+        """Return the attended tokens of several batches, of unlike N, that the norm takes for one batch."""
+        queries, keys, values = zip(*(self.split(one) for one in tokens), strict=True)
         maps = self.maps(queries, keys, valid)
-        attended = (self.attn_drop(maps) @ values).transpose(1, 2)
-        projected: Tensor = self.proj_drop(self.proj(attended.flatten(2)))
-        return projected
+        return [self.projected(one, those) for one, those in zip(maps, values, strict=True)]
 
     def split(self, tokens: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return queries, keys and values of tokens (B, N, D), shape (B, H, N, d) each."""
@@ -104,8 +150,24 @@ class ReAttention(nn.Module):
         queries, keys, values = split
         return queries, keys, values
 
-    def maps(self, queries: Tensor, keys: Tensor, valid: Tensor) -> Tensor:
-        """Return Norm(Θᵀ softmax(QKᵀ/√d)), shape (B, H, N, N)."""
-        mixed = mix_heads(attention_maps(queries, keys, valid), self.theta)
-        normalised: Tensor = self.norm(mixed)
-        return normalised.masked_fill(~valid[:, None, None, :], 0.0)
+    def maps(
+        self, queries: Sequence[Tensor], keys: Sequence[Tensor], valid: Sequence[Tensor]
+    ) -> list[Tensor]:
+        """Return Norm(Θᵀ softmax(QKᵀ/√d)) of several batches, shape (B, H, N, N) each."""
+        mixed = [
+            mix_heads(attention_maps(*one), self.theta) for one in zip(queries, keys, valid, strict=True)
+        ]
+        if isinstance(self.norm, BatchNormOfMaps):
+            normalised = self.norm.together(mixed, valid)
+        else:
+            normalised = [self.norm(one) for one in mixed]
+        return [
+            one.masked_fill(~those[:, None, None, :], 0.0)
+            for one, those in zip(normalised, valid, strict=True)
+        ]
+
+    def projected(self, maps: Tensor, values: Tensor) -> Tensor:
+        """Return the values (B, H, N, d) weighed by maps (B, H, N, N), all heads together, shape (B, N, D)."""
+        attended = (self.attn_drop(maps) @ values).transpose(1, 2)
+        projected: Tensor = self.proj_drop(self.proj(attended.flatten(2)))
+        return projected
