@@ -93,18 +93,6 @@ class BeliefGrid:
         """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of beliefs (B, X, Y)."""
         return _moments(beliefs, self.xs_m, self.ys_m, self.cell_m)
 
-    def around(self, beliefs: Sequence[Tensor], reach: int) -> Window:
-        """Return for each device the cells that any of its beliefs is not 0 on, and ``reach`` more on every side.
-
-        Args:
-            beliefs: Of the same devices, shape (B, G, X, Y) each.
-            reach: Cells.
-        """
-        occupied = torch.stack([one.amax(1) for one in beliefs]).amax(0) > 0
-        first_x, length_x = _stretch(occupied.any(2), reach)
-        first_y, length_y = _stretch(occupied.any(1), reach)
-        return Window(self, first_x, first_y, (length_x, length_y))
-
 
 @dataclass(frozen=True)
 class Window:
@@ -121,6 +109,12 @@ class Window:
     first_x: Tensor
     first_y: Tensor
     shape: tuple[int, int]
+
+    @classmethod
+    def whole(cls, grid: BeliefGrid, devices: int) -> Window:
+        """Return all cells of a grid."""
+        first = torch.zeros(devices, dtype=torch.int64)
+        return cls(grid, first, first, (len(grid.xs_m), len(grid.ys_m)))
 
     @cached_property
     def rows(self) -> Tensor:
@@ -148,17 +142,34 @@ class Window:
         """As that of the grid, shape (B, C)."""
         return self.grid.plan_log[self.cells]
 
-    def cut(self, beliefs: Tensor) -> Tensor:
-        """Return the part (B, G, x, y) of beliefs (B, G, X, Y)."""
-        at = self.cells[:, None].expand(-1, beliefs.shape[1], -1)
-        return beliefs.flatten(2).gather(2, at).unflatten(2, self.shape)
+    def around(self, beliefs: Sequence[Tensor], reach: int) -> Window:
+        """Return for each device the cells that any of its beliefs is not 0 on, and ``reach`` more on every side.
 
-    def spread(self, beliefs: Tensor) -> Tensor:
-        """Return beliefs (B, G, X, Y) that are ``beliefs`` (B, G, x, y) here, and 0 elsewhere."""
-        at = self.cells[:, None].expand(-1, beliefs.shape[1], -1)
-        everywhere = beliefs.new_zeros(*beliefs.shape[:2], len(self.grid.cells_m))
-        whole = (len(self.grid.xs_m), len(self.grid.ys_m))
-        return everywhere.scatter_(2, at, beliefs.flatten(2)).unflatten(2, whole)
+        Args:
+            beliefs: Of the same devices on these cells, shape (B, G, x, y) each.
+            reach: Cells.
+        """
+        occupied = torch.stack([one.amax(1) for one in beliefs]).amax(0) > 0
+        grid = self.grid
+        first_x, length_x = _stretch(occupied.any(2), self.first_x, reach, len(grid.xs_m))
+        first_y, length_y = _stretch(occupied.any(1), self.first_y, reach, len(grid.ys_m))
+        return Window(grid, first_x, first_y, (length_x, length_y))
+
+    def cut(self, beliefs: Tensor, of: Window) -> Tensor:
+        """Return what these cells have of beliefs on those ``of`` another window; cells beyond it have 0.
+
+        Args:
+            beliefs: Shape (B, G, x', y').
+            of: Of the same devices.
+
+        Returns:
+            Shape (B, G, x, y).
+        """
+        x, is_in_x = _found(self.rows - of.first_x[:, None], beliefs.shape[2])
+        y, is_in_y = _found(self.columns - of.first_y[:, None], beliefs.shape[3])
+        at = (x[:, :, None] * beliefs.shape[3] + y[:, None, :]).flatten(1)
+        values = beliefs.flatten(2).gather(2, at[:, None].expand(-1, beliefs.shape[1], -1))
+        return values.unflatten(2, self.shape) * (is_in_x[:, :, None] & is_in_y[:, None, :])[:, None]
 
     def moments(self, beliefs: Tensor) -> tuple[Tensor, Tensor]:
         """Return means (B, 2), metres, and covariances (B, 2, 2), square metres, of beliefs (B, x, y)."""
@@ -173,13 +184,24 @@ def _centres(coordinates: Tensor, cell_m: float, margin_m: float) -> Tensor:
     return low + cell_m * (torch.arange(count, dtype=torch.float64) + 0.5)
 
 
-def _stretch(occupied: Tensor, reach: int) -> tuple[Tensor, int]:
-    """Return the first cell (B,) and the common length of stretches with all occupied cells (B, n) and a margin."""
-    cells = occupied.shape[1]
-    first = occupied.int().argmax(1)
-    last = cells - 1 - occupied.flip(1).int().argmax(1)
-    length = min(cells, int((last - first).max()) + 1 + 2 * reach)
-    return (first - reach).clamp(0, cells - length), length
+def _stretch(occupied: Tensor, first: Tensor, reach: int, cells: int) -> tuple[Tensor, int]:
+    """Return the first cell (B,) and the common length of stretches with all occupied cells and a margin.
+
+    Args:
+        occupied: Shape (B, n).
+        first: Index of the first of these n, shape (B,).
+        reach: The margin.
+        cells: Of the grid.
+    """
+    first_in = occupied.int().argmax(1)
+    last_in = occupied.shape[1] - 1 - occupied.flip(1).int().argmax(1)
+    length = min(cells, int((last_in - first_in).max()) + 1 + 2 * reach)
+    return (first + first_in - reach).clamp(0, cells - length), length
+
+
+def _found(indices: Tensor, length: int) -> tuple[Tensor, Tensor]:
+    """Return indices brought into 0 … length − 1, and which were there before."""
+    return indices.clamp(0, length - 1), (indices >= 0) & (indices < length)
 
 
 def _moments(beliefs: Tensor, xs_m: Tensor, ys_m: Tensor, cell_m: float) -> tuple[Tensor, Tensor]:

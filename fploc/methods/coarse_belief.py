@@ -57,7 +57,9 @@ class CoarseState:
 
     Args:
         grid: Cells of the site.
-        beliefs: Probability of each cell and gait, shape (B, G, X, Y), float32.
+        beliefs: Probability of each gait and cell of a window, shape (B, G, x, y), float32; 0 on all other cells.
+        first_x: Index of the window's first cell along x, shape (B,).
+        first_y: Index of the window's first cell along y, shape (B,).
         links: Past of every link.
         t_s: Time of each belief, shape (B,), seconds.
         heard_t_s: Time of the last interval of each that heard something, shape (B,), seconds.
@@ -66,6 +68,8 @@ class CoarseState:
 
     grid: BeliefGrid
     beliefs: Tensor
+    first_x: Tensor
+    first_y: Tensor
     links: LinkEvidence
     t_s: Tensor
     heard_t_s: Tensor
@@ -75,9 +79,15 @@ class CoarseState:
     def before(cls, grid: BeliefGrid, walk: Walk, devices: int) -> CoarseState:
         """Return the state before the first interval."""
         times = torch.zeros(devices, dtype=torch.float64)
+        first = torch.zeros(devices, dtype=torch.int64)
         links = LinkEvidence.before(devices, len(grid.distances_m))
         nowhere = torch.zeros(devices, dtype=torch.bool)
-        return cls(grid, walk.begun(grid.uniform(devices)), links, times, times, nowhere)
+        return cls(grid, walk.begun(grid.uniform(devices)), first, first, links, times, times, nowhere)
+
+    @property
+    def window(self) -> Window:
+        """Cells that beliefs are held on."""
+        return Window(self.grid, self.first_x, self.first_y, (self.beliefs.shape[2], self.beliefs.shape[3]))
 
 
 @dataclass(frozen=True)
@@ -155,7 +165,8 @@ class CoarseBelief:
         Args:
             state: Before the interval.
             intervals: Of every device.
-            behind: Beliefs of the same devices that move along, shape (B, G, X, Y); None for the coarse ones.
+            behind: Beliefs of the same devices on the same cells that move along, shape (B, G, x, y); None for
+                the coarse ones.
         """
         heard = intervals.heard & intervals.present[:, None]
         hears = heard.any(-1)
@@ -176,7 +187,9 @@ class CoarseBelief:
         updated = posterior(coarse.now, torch.where(hears, powers, 0.0)[:, None] * coarse_log)
         new = CoarseState(
             grid=state.grid,
-            beliefs=coarse.window.spread(coarse.settled(updated, intervals.present)),
+            beliefs=coarse.settled(updated, intervals.present),
+            first_x=coarse.window.first_x,
+            first_y=coarse.window.first_y,
             links=links,
             t_s=torch.where(intervals.present, t_s, state.t_s),
             heard_t_s=torch.where(hears, t_s, state.heard_t_s),
@@ -187,10 +200,11 @@ class CoarseBelief:
     def _moved(self, state: CoarseState, dt_s: Tensor, behind: Tensor | None) -> tuple[Moved, Moved]:
         """Return what the coarse beliefs and those behind them are ``dt_s`` (B,) later."""
         beliefs = [state.beliefs] if behind is None else [state.beliefs, behind]
-        strides = self.walk.strides(dt_s, state.grid.cell_m, farthest=max(state.beliefs.shape[2:]))
-        window = state.grid.around(beliefs, strides.reach)
+        grid, held = state.grid, state.window
+        strides = self.walk.strides(dt_s, grid.cell_m, farthest=max(len(grid.xs_m), len(grid.ys_m)))
+        window = held.around(beliefs, strides.reach)
         transition = strides.on(window.shape)
-        cut = [window.cut(one) for one in beliefs]
+        cut = [window.cut(one, held) for one in beliefs]
         moved = [Moved(window, transition, one, transition.onwards(one)) for one in cut]
         return moved[0], moved[-1]
 

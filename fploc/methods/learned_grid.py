@@ -120,7 +120,12 @@ class LearnedGrid:
 
 @dataclass(frozen=True)
 class LearnedGridState:
-    """Beliefs of a batch of devices: the coarse one, and the one that estimates are made from, (B, G, X, Y)."""
+    """Beliefs of a batch of devices.
+
+    Args:
+        coarse: The coarse ones.
+        beliefs: Those that estimates are made from, on the same cells, shape (B, G, x, y).
+    """
 
     coarse: CoarseState
     beliefs: Tensor
@@ -205,16 +210,16 @@ class LearnedGridFilter:
         for step in track(range(len(intervals.t_s)), self.name):
             state, one = self._advanced(state, intervals.at(step))
             passed.append(one)
-        messages = torch.ones_like(state.beliefs).double()
+        everywhere = Window.whole(state.coarse.grid, len(state.beliefs))
+        messages = torch.ones(*state.beliefs.shape[:2], *everywhere.shape, dtype=torch.float64)
         for one, present in zip(reversed(passed), intervals.present.flip(0), strict=True):
-            later = one.window.cut(messages)
+            later = one.window.cut(messages, everywhere)
             both = one.beliefs * later
             smoothed.append(self._estimated(replace(one, beliefs=both / both.sum((1, 2, 3), keepdim=True))))
             weights = likelihood_ratios(one.log_likelihoods).unflatten(1, one.window.shape)
             earlier = one.transition.looked_back(later * weights[:, None])
-            earlier = one.window.spread(earlier / earlier.amax((1, 2, 3), keepdim=True)).clamp(
-                min=LEAST_WEIGHT
-            )
+            earlier = earlier / earlier.amax((1, 2, 3), keepdim=True)
+            earlier = everywhere.cut(earlier, one.window).clamp(min=LEAST_WEIGHT)
             messages = torch.where(present[:, None, None, None], earlier, messages)
         return stacked([self._estimated(one) for one in passed]), stacked(smoothed[::-1])
 
@@ -225,8 +230,8 @@ class LearnedGridFilter:
         powers = torch.where(hears, self._powers(moved.now, heard.since_s), 0.0)
         log_likelihoods = powers[:, None] * (moved.window.plan_log + self._log_likelihoods(heard))
         beliefs = moved.settled(posterior(moved.now, log_likelihoods), intervals.present)
-        new = LearnedGridState(coarse, moved.window.spread(beliefs))
-        return new, _Passed(moved.window, moved.transition, log_likelihoods, hears, beliefs)
+        passed = _Passed(moved.window, moved.transition, log_likelihoods, hears, beliefs)
+        return LearnedGridState(coarse, beliefs), passed
 
     def _estimated(self, passed: _Passed) -> Estimate:
         """Return mean and covariance of beliefs, where something was heard."""

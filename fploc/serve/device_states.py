@@ -1,7 +1,9 @@
 """States of many devices side by side, of whatever method: any of them can be advanced alone.
 
 A method's state is a structure of tensors. Those whose first axis grows with the number of devices belong to
-devices, one row each; the others (positions of access points) are shared.
+devices, one row each; the others (positions of access points) are shared. The other axes of a row may be shorter
+than they were before the first interval, with 0 for what is left out at their ends: beliefs are held on the cells
+that matter, and rows are as long as the longest of them.
 
 Axes: S slots, B devices of a batch.
 """
@@ -9,17 +11,22 @@ Axes: S slots, B devices of a batch.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from fploc.localizer import Localizer, LocalizerState
 
 FIRST_SLOTS = 64
+FORMAT = "2"
+"""Of stored states."""
+SPARE = 0.25
+WASTE = 0.5
+"""Rows are this much longer than need be, and are made shorter where less than this share of them is needed."""
 
 
 def leaves(state: Any) -> list[Tensor]:
@@ -47,6 +54,63 @@ def _parts(state: Any) -> list[Any]:
     return list(state) if isinstance(state, tuple) else []
 
 
+class _Rows:
+    """One tensor of the states of all devices.
+
+    Args:
+        fresh: Of one device before the first interval, shape (1, …): no row is ever longer.
+    """
+
+    def __init__(self, fresh: Tensor) -> None:
+        self.fresh = fresh.clone()
+        self.values = fresh.repeat(FIRST_SLOTS, *[1] * (fresh.dim() - 1))
+        self._lengths = torch.zeros(FIRST_SLOTS, fresh.dim() - 1, dtype=torch.int64)
+
+    def double(self) -> None:
+        """Make place for as many devices again."""
+        self.values = torch.cat([self.values, torch.zeros_like(self.values)])
+        self._lengths = torch.cat([self._lengths, torch.zeros_like(self._lengths)])
+
+    def put(self, slots: Tensor, leaf: Tensor) -> None:
+        """Put the rows of a batch, shape (B, …), or one for all, (1, …), into slots (B,)."""
+        self._lengths[slots] = torch.tensor(leaf.shape[1:], dtype=torch.int64)
+        if leaf.shape[1:] != self.values.shape[1:]:
+            self._fit()
+        self.values[slots] = lengthened(leaf.to(self.values.dtype), self.values.shape[1:])
+
+    def drop(self, slot: int) -> None:
+        """Forget what is in a slot."""
+        self._lengths[slot] = 0
+
+    def own(self, slot: int) -> Tensor:
+        """Return the row in a slot as it was put there."""
+        row = self.values[slot]
+        for axis, length in enumerate(self._lengths[slot].tolist()):
+            row = row.narrow(axis, 0, length)
+        return row
+
+    # Rows live on: what is made while somebody computes must not be of that inference alone.
+    @torch.inference_mode(False)
+    def _fit(self) -> None:
+        """Make rows as long as the longest of them, and a bit longer, so that this is seldom done."""
+        longest = self._lengths.amax(0)
+        held = torch.tensor(self.values.shape[1:])
+        if bool((longest <= held).all()) and int(longest.prod()) >= WASTE * int(held.prod()):
+            return
+        most = torch.tensor(self.fresh.shape[1:])
+        shape = torch.minimum((longest * (1 + SPARE)).long(), most).tolist()
+        kept = self.values
+        for axis, length in enumerate(shape, 1):
+            kept = kept.narrow(axis, 0, min(length, kept.shape[axis]))
+        self.values = lengthened(kept, shape).contiguous()
+
+
+def lengthened(leaf: Tensor, shape: Sequence[int]) -> Tensor:
+    """Return rows (B, …) with zeros at the ends of axes that are shorter than ``shape``."""
+    missing = [after - before for before, after in zip(leaf.shape[1:], shape, strict=True)]
+    return nn.functional.pad(leaf, [pad for length in missing[::-1] for pad in (0, length)])
+
+
 class DeviceStates:
     """Slots, each with the state of one device.
 
@@ -60,44 +124,40 @@ class DeviceStates:
         self._is_own = [
             len(a.shape) > 0 and (a.shape[0], b.shape[0]) == (1, 2) for a, b in zip(one, two, strict=True)
         ]
-        self._fresh = [leaf.clone() for leaf, own in zip(one, self._is_own, strict=True) if own]
+        self._rows = [_Rows(leaf) for leaf, own in zip(one, self._is_own, strict=True) if own]
         self._shared = [leaf for leaf, own in zip(one, self._is_own, strict=True) if not own]
-        self._rows = [self._repeated(leaf, FIRST_SLOTS) for leaf in self._fresh]
+        self._slots = FIRST_SLOTS
         self._free = list(range(FIRST_SLOTS))[::-1]
-        parts = [localizer.method.name, *localizer.site.macs]
-        parts += [f"{leaf.dtype}{tuple(leaf.shape[1:])}" for leaf in self._fresh]
+        parts = [FORMAT, localizer.method.name, *localizer.site.macs]
+        parts += [f"{rows.fresh.dtype}{tuple(rows.fresh.shape[1:])}" for rows in self._rows]
         self.layout = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-
-    @staticmethod
-    def _repeated(leaf: Tensor, times: int) -> Tensor:
-        return leaf.repeat(times, *[1] * (leaf.dim() - 1))
 
     def take_slot(self) -> int:
         """Return a free slot in the state before the first interval; there are always more."""
         if not self._free:
-            slots = len(self._rows[0]) if self._rows else FIRST_SLOTS
-            self._rows = [
-                torch.cat([rows, self._repeated(leaf, slots)])
-                for rows, leaf in zip(self._rows, self._fresh, strict=True)
-            ]
-            self._free = list(range(slots, 2 * slots))[::-1]
+            for rows in self._rows:
+                rows.double()
+            self._free = list(range(self._slots, 2 * self._slots))[::-1]
+            self._slots *= 2
         slot = self._free.pop()
         self.reset(torch.tensor([slot]))
         return slot
 
     def give_back(self, slot: int) -> None:
         """Take a slot back that is no longer needed."""
+        for rows in self._rows:
+            rows.drop(slot)
         self._free.append(slot)
 
     def reset(self, slots: Tensor) -> None:
         """Put slots (B,) into the state before the first interval."""
-        for rows, leaf in zip(self._rows, self._fresh, strict=True):
-            rows[slots] = leaf
+        for rows in self._rows:
+            rows.put(slots, rows.fresh)
 
     def gather(self, slots: Tensor) -> LocalizerState:
         """Return the state of the devices in slots (B,)."""
         own, shared = iter(self._rows), iter(self._shared)
-        tensors = (next(own)[slots] if is_own else next(shared) for is_own in self._is_own)
+        tensors = (next(own).values[slots] if is_own else next(shared) for is_own in self._is_own)
         state: LocalizerState = with_leaves(self._form, tensors)
         return state
 
@@ -105,25 +165,25 @@ class DeviceStates:
         """Put the state of the devices of a batch into their slots (B,)."""
         own = [leaf for leaf, is_own in zip(leaves(state), self._is_own, strict=True) if is_own]
         for rows, leaf in zip(self._rows, own, strict=True):
-            rows[slots] = leaf.to(rows.dtype)
+            rows.put(slots, leaf)
 
-    def packed(self, slots: Tensor) -> list[bytes]:
-        """Return the state of each device in slots (B,) as bytes."""
-        if not self._rows:
-            return [b""] * len(slots)
-        columns = [
-            np.ascontiguousarray(rows[slots].numpy()).reshape(len(slots), -1).view(np.uint8)
-            for rows in self._rows
-        ]
-        return [row.tobytes() for row in np.concatenate(columns, axis=1)]
+    def packed(self, slot: int) -> bytes:
+        """Return the state of the device in a slot as bytes: the lengths of every row's axes, and the row."""
+        parts = []
+        for rows in self._rows:
+            row = rows.own(slot).contiguous().numpy()
+            parts += [np.array(row.shape, dtype=np.uint32).tobytes(), row.tobytes()]
+        return b"".join(parts)
 
     def restore(self, slot: int, state: bytes) -> None:
         """Put back what ``packed`` returned; the layout must be the same."""
         start = 0
         for rows in self._rows:
-            row = rows[slot]
-            size = row.numel() * row.element_size()
-            flat = np.frombuffer(state[start : start + size], dtype=row.numpy().dtype)
-            rows[slot] = torch.from_numpy(flat.copy()).reshape(row.shape)
-            start += size
+            axes = rows.fresh.dim() - 1
+            shape = np.frombuffer(state, dtype=np.uint32, count=axes, offset=start)
+            start += shape.nbytes
+            dtype = rows.fresh.numpy().dtype
+            row = np.frombuffer(state, dtype=dtype, count=int(shape.prod()), offset=start)
+            start += row.nbytes
+            rows.put(torch.tensor([slot]), torch.from_numpy(row.copy()).reshape(1, *shape.tolist()))
         assert start == len(state), "the layout promises the size"

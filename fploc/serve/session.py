@@ -344,12 +344,10 @@ class SiteSession:
 
     def _states_of(self, devices: Sequence[str]) -> list[StateRow]:
         """Return states of devices to be stored, and count them as stored."""
-        if not devices:
-            return []
         rows = []
-        slots = torch.tensor([self.devices[name].slot for name in devices], dtype=torch.int64)
-        for name, state in zip(devices, self._states.packed(slots), strict=True):
+        for name in devices:
             followed = self.devices[name]
+            assert followed.slot is not None
             assert followed.state_ms is not None, "it has seen an interval since it was stored"
             followed.unstored = 0
             rows.append(
@@ -359,7 +357,7 @@ class SiteSession:
                     track=followed.state_track,
                     t_ms=followed.state_ms,
                     layout=self._states.layout,
-                    state=state,
+                    state=self._states.packed(followed.slot),
                 )
             )
         return rows

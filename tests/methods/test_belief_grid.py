@@ -8,7 +8,16 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fploc.methods.belief_grid import LEAST_WEIGHT, NEGLIGIBLE, BeliefGrid, banded, kernels, moved, posterior
+from fploc.methods.belief_grid import (
+    LEAST_WEIGHT,
+    NEGLIGIBLE,
+    BeliefGrid,
+    Window,
+    banded,
+    kernels,
+    moved,
+    posterior,
+)
 from fploc.sites.site import AccessPoint, Site
 
 
@@ -113,10 +122,19 @@ def somewhere(*places: tuple[int, int]) -> torch.Tensor:
 @given(st.integers(0, 19), st.integers(0, 15), st.integers(0, 20))
 def test_a_window_holds_all_beliefs_and_what_they_reach(x: int, y: int, reach: int) -> None:
     beliefs, others = somewhere((x, y), (10, 8)), somewhere((x, y), (12, 8))
-    window = GRID.around([beliefs, others], reach)
+    whole = Window.whole(GRID, 2)
+    window = whole.around([beliefs, others], reach)
     assert window.shape == (min(20, 3 + 2 * reach), min(16, 1 + 2 * reach))
     for one in (beliefs, others):
-        torch.testing.assert_close(window.spread(window.cut(one)), one, atol=0, rtol=0)
+        held = window.cut(one, whole)
+        torch.testing.assert_close(whole.cut(held, window), one, atol=0, rtol=0)
+        # Held on a window, beliefs are in the same place; rows of zeros at its end may reach beyond the grid.
+        longer = torch.nn.functional.pad(held, (0, 3, 0, 2))
+        held_longer = Window(GRID, window.first_x, window.first_y, (longer.shape[2], longer.shape[3]))
+        torch.testing.assert_close(whole.cut(longer, held_longer), one, atol=0, rtol=0)
+        again = held_longer.around([longer], reach=0)
+        for device in range(2):
+            assert again.rows[device][one[device].sum((0, 2))[again.rows[device]] > 0].numel() == 1
     for near in range(-reach, reach + 1):
         if 0 <= x + near < 20:
             assert x + near in window.rows[0]
@@ -126,7 +144,7 @@ def test_a_window_holds_all_beliefs_and_what_they_reach(x: int, y: int, reach: i
 
 def test_a_window_knows_the_cells_of_its_grid() -> None:
     grid = replace(GRID, plan_log=torch.arange(len(GRID.cells_m), dtype=torch.float64))
-    window = grid.around([somewhere((3, 4), (11, 15))], reach=2)
+    window = Window.whole(grid, 2).around([somewhere((3, 4), (11, 15))], reach=2)
     for device in range(2):
         cells = torch.cartesian_prod(grid.xs_m[window.rows[device]], grid.ys_m[window.columns[device]])
         torch.testing.assert_close(grid.cells_m[window.cells[device]], cells, atol=0, rtol=0)
@@ -136,9 +154,10 @@ def test_a_window_knows_the_cells_of_its_grid() -> None:
 
 def test_a_window_sees_the_moments_of_the_whole() -> None:
     beliefs = moved(somewhere((6, 7), (10, 8)), torch.zeros(2, 2, 2), torch.full((2, 2), 0.4))
-    window = GRID.around([beliefs], reach=0)
+    everywhere = Window.whole(GRID, 2)
+    window = everywhere.around([beliefs], reach=0)
     for part, whole in zip(
-        window.moments(window.cut(beliefs).sum(1).double()),
+        window.moments(window.cut(beliefs, everywhere).sum(1).double()),
         GRID.moments(beliefs.sum(1).double()),
         strict=True,
     ):
