@@ -250,6 +250,7 @@ def _interrupt_children() -> None:
         child.join(max(0.0, until - time.monotonic()))
         if child.is_alive():
             child.terminate()
+            child.join()
 
 
 def _say(text: str) -> None:
