@@ -37,7 +37,7 @@ def plot_reliability(nees: Mapping[str, Floats], title: str, *, made_up: bool = 
         title: Of the figure.
         made_up: True where the data are made up: the figure says so.
     """
-    figure = Figure(figsize=(5.2, 4.8), layout="constrained")
+    figure = Figure(figsize=(8.0, 4.8), layout="compressed")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1.0)
     for index, (name, values) in enumerate(nees.items()):
@@ -46,5 +46,6 @@ def plot_reliability(nees: Mapping[str, Floats], title: str, *, made_up: bool = 
     axes.set_title(f"{title} ({MADE_UP})" if made_up else title)
     axes.grid(alpha=0.3)
     if nees:
-        axes.legend(loc="upper left")
+        # Beside the curves: many of them leave no corner free.
+        figure.legend(loc="outside right upper")
     return figure
