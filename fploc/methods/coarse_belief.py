@@ -122,7 +122,6 @@ class Heard:
             the device is absent or did not hear the access point.
         heard: True where a device that is present heard an access point, shape (B, A).
         since_s: Time since something was heard, shape (B,), seconds; infinite before the first time.
-        coarse_log: Untempered logarithm of the coarse likelihood of the interval, shape (B, C).
     """
 
     moved: Moved
@@ -130,12 +129,23 @@ class Heard:
     error_bins: Tensor
     heard: Tensor
     since_s: Tensor
-    coarse_log: Tensor
 
 
 def table_errors_m() -> Tensor:
     """Return the errors that tables are made for, shape (Q,), metres."""
     return LOWEST_ERROR_M + ERROR_STEP_M * (torch.arange(ERRORS, dtype=torch.float64) + 0.5)
+
+
+def forgiving(errors_m: Tensor, *, short_m: float, long_m: float, floor: float) -> Tensor:
+    """Return a density of errors, beside that of its mode 0: walls lengthen ranges, nothing shortens them.
+
+    Args:
+        errors_m: Range minus distance, metres.
+        short_m: Decay below 0, metres.
+        long_m: Decay above 0, metres.
+        floor: What neither explains.
+    """
+    return torch.exp(-torch.maximum(errors_m / long_m, -errors_m / short_m)) + floor
 
 
 class CoarseBelief:
@@ -148,9 +158,9 @@ class CoarseBelief:
     def __init__(self, settings: CoarseSettings) -> None:
         self.settings = settings
         self.walk = Walk(settings.walk)
-        errors_m = table_errors_m()
-        decays = torch.maximum(errors_m / settings.long_m, -errors_m / settings.short_m)
-        explained = torch.exp(-decays) + settings.floor
+        explained = forgiving(
+            table_errors_m(), short_m=settings.short_m, long_m=settings.long_m, floor=settings.floor
+        )
         self._likelihoods = torch.cat([explained, torch.ones(1, dtype=torch.float64)])
 
     def grid(self, site: Site) -> BeliefGrid:
@@ -195,7 +205,7 @@ class CoarseBelief:
             heard_t_s=torch.where(hears, t_s, state.heard_t_s),
             started=state.started | hears,
         )
-        return new, Heard(moved, features, bins, heard, since_s, coarse_log)
+        return new, Heard(moved, features, bins, heard, since_s)
 
     def _moved(self, state: CoarseState, dt_s: Tensor, behind: Tensor | None) -> tuple[Moved, Moved]:
         """Return what the coarse beliefs and those behind them are ``dt_s`` (B,) later."""

@@ -15,7 +15,11 @@ from fploc.sites.site import Site
 
 
 class Method(Protocol):
-    """A complete way to localize. ``State`` is the method's own, a structure of tensors."""
+    """A complete way to localize.
+
+    Its state is a structure of tensors. The first axis of those that belong to devices is the device; their other
+    axes may become shorter than before the first interval, where what is left out at the ends is 0.
+    """
 
     @property
     def name(self) -> str:

@@ -4,10 +4,13 @@ The paper's chain passes one coarse point, then one corrected number per access 
 but distributions. At every interval
 
 1. a coarse belief (``fploc.methods.coarse_belief``) says what it expects of every range by all the others;
-2. two small networks (``fploc.models.range_error``) make of this, and of the link's recent past, distributions of
-   the range's error: bias, a spread on either side, probability of an outlier. One sees all of it, one no signals;
-3. the belief is moved as people move (``fploc.methods.walk``), and multiplied by these and by the coarse likelihood,
-   pooled as Π p_learned^share · p_coarse^(1 − share): what was learned elsewhere corrects, it does not rule.
+2. two small networks (``fploc.models.range_error``) make distributions of the range's error: bias, a spread on either
+   side, probability of an outlier. One sees this and the link's recent past, the other the range and its signal
+   strength alone;
+3. the belief is moved as people move (``fploc.methods.walk``), and multiplied by the product over links of
+   p_learned^share · p_left^(1 − share). p_learned pools both networks; p_left is of what the second one's bias leaves
+   of the error, and takes all that is still too long with a shrug: what was learned elsewhere corrects, it does not
+   rule.
 
 Likelihoods are tempered, since errors of a place repeat as long as one is there: the faster somebody walks, the
 more an interval says that is new. The plan weighs cells: nobody stands in a wall. The networks learn from
@@ -36,13 +39,14 @@ from fploc.methods.coarse_belief import (
     CoarseSettings,
     CoarseState,
     Heard,
+    forgiving,
     table_errors_m,
 )
 from fploc.methods.interface import Examples
-from fploc.methods.link_evidence import VIEWS
+from fploc.methods.link_evidence import ALONE, IN_CONTEXT
 from fploc.methods.range_lessons import LessonSettings, range_lessons, taught
 from fploc.methods.walk import Transition
-from fploc.models.range_error import RangeErrorNetwork, log_density
+from fploc.models.range_error import RangeErrorNetwork, log_density, modes_m
 from fploc.progress import track
 from fploc.sites.site import Site
 
@@ -57,7 +61,9 @@ class LearnedGridSettings:
         coarse: Of the grid, of the walk and of the coarse belief.
         lessons: Of the network and its training.
         blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
-        learned_share: Power of the learned likelihood beside the coarse one, 0 to 1.
+        learned_share: Power of the learned likelihood beside that of what a bias leaves, 0 to 1.
+        left_short_m: Decay of the density of what a bias leaves below 0, metres.
+        left_long_m: Decay of that density above 0, metres.
         correlation_s: For so long errors of ranges are taken for one error on the spot.
         correlation_m: Over so many metres of a walk they are, too.
         survey_m: Standard deviation per axis of what no belief can know, metres: the frame of access points
@@ -69,6 +75,8 @@ class LearnedGridSettings:
     lessons: LessonSettings
     blocked: float
     learned_share: float
+    left_short_m: float
+    left_long_m: float
     correlation_s: float
     correlation_m: float
     survey_m: float
@@ -114,7 +122,7 @@ class LearnedGrid:
                 expected="recordings with ground truth",
                 way_out="choose another method",
             )
-        networks = [taught(known, view, self.settings.lessons) for view in VIEWS]
+        networks = [taught(known, view, self.settings.lessons) for view in (IN_CONTEXT, ALONE)]
         return LearnedGridFilter(self.settings, networks)
 
 
@@ -158,7 +166,8 @@ class LearnedGridFilter:
 
     Args:
         settings: Of the method.
-        networks: Each says how wrong a range may be; their likelihoods are pooled evenly.
+        networks: Each says how wrong a range may be; their likelihoods are pooled evenly. The last one's bias is
+            taken off ranges.
         plan: Of the target; None where it has none.
     """
 
@@ -249,10 +258,18 @@ class LearnedGridFilter:
     def _log_likelihoods(self, heard: Heard) -> Tensor:
         """Return the pooled log-likelihood of the interval, shape (B, C)."""
         links = heard.features.flatten(0, 1)
-        views = [log_density(network(links), self._errors_m) for network in self.networks]
-        tables = nn.functional.pad(torch.stack(views).mean(0), (0, 1))
+        raw = [network(links) for network in self.networks]
+        learned = torch.stack([log_density(one, self._errors_m) for one in raw]).mean(0)
+        share = self.settings.learned_share
+        tables = share * learned + (1 - share) * self._left(self._errors_m - modes_m(raw[-1])).log()
+        tables = nn.functional.pad(tables, (0, 1))
         bins = heard.error_bins
         rows = torch.arange(len(tables), dtype=torch.int32).view(*bins.shape[:2], 1) * (SILENT + 1)
-        learned = tables.flatten().index_select(0, (bins + rows).flatten()).view(bins.shape).sum(1)
-        share = self.settings.learned_share
-        return share * learned + (1 - share) * heard.coarse_log
+        return tables.flatten().index_select(0, (bins + rows).flatten()).view(bins.shape).sum(1)
+
+    def _left(self, errors_m: Tensor) -> Tensor:
+        """Return the density of what a bias leaves of errors, beside that of its mode."""
+        settings = self.settings
+        return forgiving(
+            errors_m, short_m=settings.left_short_m, long_m=settings.left_long_m, floor=settings.coarse.floor
+        )

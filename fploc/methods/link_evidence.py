@@ -1,9 +1,6 @@
-"""What every link of a device says of its own range, by means that carry over from phone to phone.
+"""What every link of a device says of its own range.
 
-Signal strengths and spreads differ by 10 dB and a factor of 2 between phones: both are taken against a running
-percentile of the phone's own readings, the former after the loss of free space is added back.
-
-Axes: B devices, A access points, W windows, Q bins, F features.
+Axes: B devices, A access points, W windows, F features.
 """
 
 from __future__ import annotations
@@ -17,10 +14,7 @@ from fploc.intervals import FARTHEST_RANGE_M, Intervals
 
 WINDOWS_S = (2.0, 10.0)
 """Time constants of a link's recent past: a few steps, and the stretch over which errors of places last."""
-MEMORY_S = 300.0
-"""Time constant of the percentiles of a phone: minutes, so that a change of hands is forgotten."""
 LONGEST_SILENCE_S = 30.0
-SMALLEST_STD_M = 0.02
 FEATURES = (
     "range",
     "range against what the others say",
@@ -30,16 +24,13 @@ FEATURES = (
     "the same residual, 10 s restlessness",
     "range, 2 s restlessness",
     "range, 10 s restlessness",
-    "signal strength",
-    "signal strength, 2 s mean",
-    "signal strength, 10 s mean",
-    "signal strength, 10 s restlessness",
-    "burst spread",
     "loss rate",
+    "signal strength",
 )
-"""Names of the axis F."""
-VIEWS = (tuple(range(len(FEATURES))), (*range(8), len(FEATURES) - 1))
-"""Features that a network sees: all of them, or all but what phones say of their signals."""
+"""Names of the axis F. Signal strengths are those received: taken against the phone's own, they say less."""
+IN_CONTEXT = tuple(range(9))
+ALONE = (0, 9)
+"""Features of two views of a link: beside all others and its own past, and as if it were the only one."""
 
 
 @dataclass(frozen=True)
@@ -55,37 +46,6 @@ class RangeExpectation:
     by_others: Tensor
     spread: Tensor
     by_all: Tensor
-
-
-@dataclass(frozen=True)
-class RunningPercentile:
-    """Percentile of the values of each device up to now.
-
-    Args:
-        low: Lower end of the first bin.
-        width: Of a bin.
-        quantile: Which, 0 to 1.
-        counts: Weights of the values in each bin, shape (B, Q); the last bins hold what lies beyond.
-    """
-
-    low: float
-    width: float
-    quantile: float
-    counts: Tensor
-
-    def after(self, values: Tensor, heard: Tensor, kept: Tensor) -> RunningPercentile:
-        """Return the percentile after values (B, A), where ``heard``; older ones count ``kept`` (B,) as much."""
-        last = self.counts.shape[1] - 1
-        bins = ((values - self.low) / self.width).floor().long().clamp(0, last)
-        counts = (self.counts * kept[:, None]).scatter_add(1, bins, heard.double())
-        return RunningPercentile(self.low, self.width, self.quantile, counts)
-
-    @property
-    def values(self) -> Tensor:
-        """Centre of the bin that holds the percentile, shape (B, 1)."""
-        below = self.counts.cumsum(1) < self.quantile * self.counts.sum(1, keepdim=True)
-        index = below.sum(1, keepdim=True).clamp(max=self.counts.shape[1] - 1)
-        return self.low + self.width * (index + 0.5)
 
 
 @dataclass(frozen=True)
@@ -113,10 +73,7 @@ class LinkEvidence:
     """Past of every link of a batch of devices.
 
     Args:
-        strengths: Of signals with the loss of free space added back.
-        stds: Of logarithms of burst spreads.
         ranges: Ranges followed.
-        signals: Normalised signal strengths followed.
         residuals: Residuals to what the other ranges say followed.
         weights: What the values of each window weigh together, shape (B, A, W).
         loss: Share of intervals without the link, 10 s, shape (B, A).
@@ -125,10 +82,7 @@ class LinkEvidence:
         started: True once a device was there, shape (B,).
     """
 
-    strengths: RunningPercentile
-    stds: RunningPercentile
     ranges: Followed
-    signals: Followed
     residuals: Followed
     weights: Tensor
     loss: Tensor
@@ -143,10 +97,7 @@ class LinkEvidence:
         windows = torch.zeros(devices, access_points, len(WINDOWS_S), dtype=torch.float64)
         still = Followed(windows, windows)
         return cls(
-            strengths=RunningPercentile(-90.0, 1.0, 0.8, torch.zeros(devices, 80, dtype=torch.float64)),
-            stds=RunningPercentile(-4.0, 0.1, 0.5, torch.zeros(devices, 60, dtype=torch.float64)),
             ranges=still,
-            signals=still,
             residuals=still,
             weights=windows,
             loss=links,
@@ -171,12 +122,6 @@ class LinkEvidence:
         present = intervals.present[:, None]
         heard = intervals.heard & present
         ranges = intervals.ranges.double()
-        kept = torch.where(intervals.present, torch.exp(-dt_s / MEMORY_S), 1.0)
-        free_space_db = intervals.rss.double() + 20 * ranges.clamp(min=1.0).log10()
-        strengths = self.strengths.after(free_space_db, heard, kept)
-        signal = free_space_db - strengths.values
-        log_std = intervals.stds.double().clamp(min=SMALLEST_STD_M).log()
-        stds = self.stds.after(log_std, heard, kept)
         residual = ranges - expected.by_others
 
         now = torch.maximum(intervals.t_s.double()[:, None], self.t_s)
@@ -187,10 +132,7 @@ class LinkEvidence:
         missed = (~heard).double()
         loss = torch.where(self.started[:, None], missed + forgotten * (self.loss - missed), missed)
         new = LinkEvidence(
-            strengths=strengths,
-            stds=stds,
             ranges=self.ranges.after(ranges, heard, self.heard, weights),
-            signals=self.signals.after(signal, heard, self.heard, weights),
             residuals=self.residuals.after(residual, heard, self.heard, weights),
             weights=weights,
             loss=torch.where(present, loss, self.loss),
@@ -207,11 +149,7 @@ class LinkEvidence:
             new.residuals.restlessness[..., 1],
             new.ranges.restlessness[..., 0],
             new.ranges.restlessness[..., 1],
-            signal,
-            new.signals.means[..., 0],
-            new.signals.means[..., 1],
-            new.signals.restlessness[..., 1],
-            log_std - stds.values,
             new.loss,
+            intervals.rss.double(),
         ]
         return new, torch.stack(features, -1)

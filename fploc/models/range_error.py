@@ -71,6 +71,11 @@ class RangeErrorNetwork(nn.Module):
         return raw
 
 
+def modes_m(raw: Tensor) -> Tensor:
+    """Return the likeliest error, shape (n, 1), metres, under raw parameters (n, 4) of ``RangeErrorNetwork``."""
+    return raw[:, :1]
+
+
 def log_density(raw: Tensor, errors_m: Tensor) -> Tensor:
     """Return the logarithm of the density of errors under raw parameters.
 

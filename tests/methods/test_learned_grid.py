@@ -11,6 +11,7 @@ from fploc.errors import FplocError
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals, NoFix
+from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples, Filtering, ReadsPlan, Smoothing, SourceFitted
 from fploc.methods.learned_grid import LearnedGrid, LearnedGridFilter, LearnedGridSettings
 from fploc.sites.site import AccessPoint, Site
@@ -95,12 +96,37 @@ def test_it_learns_from_sources_filters_itself_and_reads_plans() -> None:
     assert isinstance(learned(), Smoothing)
 
 
+def followed_coarsely(examples: Examples) -> torch.Tensor:
+    """Return the errors of the coarse belief alone, shape (T, B)."""
+    belief = CoarseBelief(SETTINGS.coarse)
+    state = CoarseState.before(belief.grid(SITE), belief.walk, examples.labels.shape[1])
+    errors = []
+    for step in range(len(examples.labels)):
+        state, _ = belief.step(state, examples.intervals.at(step))
+        means, _ = state.window.moments(state.beliefs.sum(1).double())
+        errors.append((means - examples.labels[step]).norm(dim=-1))
+    return torch.stack(errors)
+
+
 def test_what_was_learned_beats_the_coarse_belief_on_a_walk_not_seen() -> None:
-    networks = learned().networks
     errors, last = followed(learned(), walked(2))
-    coarse, _ = followed(LearnedGridFilter(replace(SETTINGS, learned_share=0.0), networks), walked(2))
+    coarse = followed_coarsely(walked(2))
     assert last.fixed.all()
     assert errors[20:].square().mean() < 0.8 * coarse[20:].square().mean()
+
+
+def test_what_a_bias_leaves_is_forgiven_where_a_range_is_too_long() -> None:
+    """Of one link's error, 2 m more cost less than 2 m less."""
+    method = LearnedGridFilter(replace(SETTINGS, learned_share=0.0), learned().networks)
+    place = torch.tensor([[3.0, 2.0]], dtype=torch.float64)
+    found = {}
+    for excess_m in (-2.0, 0.0, 2.0):
+        made = interval(place, torch.tensor([[0.0, 0.0, excess_m, 0.0, 0.0]], dtype=torch.float64))
+        # The signal strength says nothing of it.
+        made = replace(made, rss=interval(place).rss)
+        found[excess_m] = method.step(method.init(SITE, 1), made)[1].positions[0]
+    shorter, longer = ((found[one] - found[0.0]).norm() for one in (-2.0, 2.0))
+    assert longer < 0.5 * shorter
 
 
 def test_the_stated_regions_hold_most_truths() -> None:
@@ -212,6 +238,7 @@ def test_nobody_is_put_into_a_wall() -> None:
     method = learned()
     at_the_wall = torch.tensor([[4.9, 1.5]], dtype=torch.float64)
     made = interval(at_the_wall, torch.full((1, len(CORNERS)), 0.4, dtype=torch.float64))
+    made = replace(made, rss=interval(at_the_wall).rss)
     free = method.step(method.init(SITE, 1), made)[1].positions[0, 0]
     walled = method.for_plan(walled_plan(blocked_from_x_m=5.0))
     beside = walled.step(walled.init(SITE, 1), made)[1].positions[0, 0]

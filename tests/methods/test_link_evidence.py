@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from fploc.intervals import Intervals
-from fploc.methods.link_evidence import FEATURES, LinkEvidence, RangeExpectation, RunningPercentile
+from fploc.methods.link_evidence import ALONE, FEATURES, IN_CONTEXT, LinkEvidence, RangeExpectation
 
 SILENT = torch.zeros(1, dtype=torch.float64)
 
@@ -33,27 +33,14 @@ def named(features: torch.Tensor) -> dict[str, float]:
     return dict(zip(FEATURES, features[0, 0].tolist(), strict=True))
 
 
-def test_a_running_percentile_finds_the_bin_and_forgets() -> None:
-    percentile = RunningPercentile(0.0, 1.0, 0.8, torch.zeros(1, 10, dtype=torch.float64))
-    values = torch.arange(10, dtype=torch.float64)[None] + 0.5
-    heard = torch.ones(1, 10, dtype=torch.bool)
-    ten = percentile.after(values, heard, torch.ones(1, dtype=torch.float64))
-    assert ten.values.item() == 7.5
-    fresh = ten.after(torch.full((1, 10), 2.5, dtype=torch.float64), heard, SILENT)
-    assert fresh.values.item() == 2.5
-    unheard = ten.after(torch.full((1, 10), 2.5, dtype=torch.float64), ~heard, torch.ones(1).double())
-    assert torch.equal(unheard.counts, ten.counts)
-
-
-def test_signal_strength_of_another_phone_gives_the_same_features() -> None:
-    rows = []
-    for louder_db in (0.0, 10.0):
-        evidence = LinkEvidence.before(1, 1)
-        for step, rss in enumerate((-60.0, -64.0, -61.0)):
-            made = one_link(5.0, rss + louder_db, 0.4 * step)
-            evidence, features = evidence.after(made, torch.full((1,), 0.4).double(), expected(4.0))
-        rows.append(features)
-    torch.testing.assert_close(rows[0], rows[1], atol=1e-9, rtol=0)
+def test_a_link_alone_is_its_range_and_its_signal_strength_as_received() -> None:
+    assert [FEATURES[index] for index in ALONE] == ["range", "signal strength"]
+    assert set(IN_CONTEXT) | set(ALONE) == set(range(len(FEATURES)))
+    evidence = LinkEvidence.before(1, 1)
+    for step, (range_m, rss_dbm) in enumerate(((5.0, -60.0), (6.0, -71.5))):
+        dt_s = torch.full((1,), 0.4).double()
+        evidence, features = evidence.after(one_link(range_m, rss_dbm, 0.4 * step), dt_s, expected(4.0))
+        assert features[0, 0, list(ALONE)].tolist() == [range_m, rss_dbm]
 
 
 def test_residuals_and_their_means_are_plain_differences_and_averages() -> None:
