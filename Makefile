@@ -75,15 +75,12 @@ describe: install ## Count what the packed sites hold and write their data cards
 demo: install ## A made-up building, a server and four simulated phones on a map: http://127.0.0.1:8000
 	@$(BIN)/python -m fploc.serve.demo --folder $(RUNS)/demo
 
-soak: install ## Load the server for minutes, more and more, kill it 20 times, watch the map; docs/load.md (35 minutes)
-	@for method in default nls-onesided; do \
-	  $(BIN)/python soak/load.py --method $$method --devices 50 --seconds 300 \
-	    --out $(RUNS)/soak/steady-$$method.json && \
-	  $(BIN)/python soak/load.py --method $$method --devices 10,25,50,75,100,150,200,300,400 --seconds 30 \
-	    --out $(RUNS)/soak/curve-$$method.json || exit 1; done
+soak: install ## Load the server for minutes, more and more, kill it 20 times, watch the map; docs/load.md (20 minutes)
+	@$(BIN)/python soak/load.py --devices 50 --seconds 300 --out $(RUNS)/soak/steady.json
+	@$(BIN)/python soak/load.py --devices 10,25,50,75,100,150,200,300,400 --seconds 30 --out $(RUNS)/soak/curve.json
 	@$(BIN)/python soak/kills.py --kills 20 --out $(RUNS)/soak/kills.json
 	@$(BIN)/python soak/browser.py --devices 200 --seconds 30 --out $(RUNS)/soak/browser.json
-	@$(BIN)/python soak/load_page.py $(RUNS)/soak docs --note "Measured on $$(nproc) cores."
+	@$(BIN)/python soak/load_page.py $(RUNS)/soak docs --note "Measured on $$(nproc --all) cores."
 
 docs: install ## Build the documentation into build/docs, warnings as errors
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict

@@ -1,7 +1,7 @@
 """Phones at 5 Hz against a server on the same machine: how soon fixes are out, what memory does, what is shed.
 
     python soak/load.py --devices 50 --seconds 300 --out runs/soak/steady-default.json
-    python soak/load.py --method nls-onesided --devices 10,25,50,100,200,400 --seconds 30
+    python soak/load.py --devices 10,25,50,100,200,400 --seconds 30
 
 One line of JSON for each number of devices; each gets a server of its own, just started. A phone keeps what was
 not acknowledged and sends it with what came since, as docs/phone.md asks. A fix is out when a live connection has

@@ -15,10 +15,7 @@ from typing import Any
 
 from fploc.evaluation.results_page import IN_TIME
 
-FILES = ("kills", "browser")
-ROWS = ("steady", "curve")
-"""Made once for each method: NAME-METHOD.json, one row for each number of phones."""
-METHODS = ("default", "nls-onesided")
+FILES = ("steady", "curve", "kills", "browser")
 COLUMNS = (
     ("phones", "devices"),
     ("within 200 ms", "within_200_ms"),
@@ -155,9 +152,6 @@ def main() -> None:
     parser.add_argument("--note", required=True, help="On the machine, and what else ran on it.")
     options = parser.parse_args()
     found = {name: json.loads((options.found / f"{name}.json").read_text("utf-8")) for name in FILES}
-    for name in ROWS:
-        files = [options.found / f"{name}-{method}.json" for method in METHODS]
-        found[name] = [row for file in files for row in json.loads(file.read_text("utf-8"))]
     found["note"] = options.note
     text = json.dumps(found, indent=2, ensure_ascii=False) + "\n"
     (options.docs / "load.json").write_text(text, encoding="utf-8")

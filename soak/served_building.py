@@ -190,8 +190,9 @@ class Connection:
 
 
 def endless(building: Building, phone: int) -> Iterator[Interval]:
-    """Yield intervals of a lap again and again, at five a second of the phone's clock."""
-    intervals = building.laps[phone % len(building.laps)]
+    """Yield intervals of a lap, there and back again and again, five a second by the phone's clock: nobody leaps."""
+    lap = building.laps[phone % len(building.laps)]
+    intervals = [*lap, *lap[-2:0:-1]]
     index = 7 * phone
     t_ms = 0.0
     while True:
