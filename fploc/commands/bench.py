@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from jsonargparse import ArgumentParser, Namespace
 
-from fploc.commands.options import add_artifacts, add_data_root, add_printed_json, new_parser
+from fploc.commands.options import add_data_root, add_printed_json, add_trained, listed, new_parser
 from fploc.commands.printing import print_columns
 
 MEANING = "Time one fix of every method."
@@ -26,10 +26,8 @@ def parser() -> ArgumentParser:
     parser.add_argument(
         "--batch", type=int, default=64, help="Devices that one call localizes, beside single ones."
     )
-    parser.add_argument("--seed", type=int, default=0, help="Seed of trained artifacts.")
-    parser.add_argument("--preset", type=str, default="default", help="Preset of trained artifacts.")
     add_data_root(parser)
-    add_artifacts(parser)
+    add_trained(parser)
     add_printed_json(parser)
     return parser
 
@@ -42,7 +40,7 @@ def run(options: Namespace) -> None:
     """
     from fploc.experiments.bench import bench
 
-    named = None if options.methods is None else [name.strip() for name in options.methods.split(",")]
+    named = None if options.methods is None else listed(options.methods)
     timings = bench(
         options.site,
         named,

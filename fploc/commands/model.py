@@ -6,7 +6,7 @@ from pathlib import Path
 
 from jsonargparse import ArgumentParser, Namespace
 
-from fploc.commands.options import add_artifacts, add_data_root, add_printed_json, new_parser
+from fploc.commands.options import add_artifacts, add_data_root, add_printed_json, listed, new_parser
 from fploc.commands.printing import print_columns
 
 MEANING = "Train the default method."
@@ -41,7 +41,7 @@ def run(options: Namespace) -> None:
     """
     from fploc.experiments.model import make_model
 
-    sites = None if options.sites is None else [name.strip() for name in options.sites.split(",")]
+    sites = None if options.sites is None else listed(options.sites)
     records = [one.as_json() for one in make_model(sites, options.data_root, options.runs, options.out)]
     columns = ("protocol", "site", "device", "n", "rmse_m", "p50_m", "p90_m", "coverage95", "nees")
     print_columns(records, columns, as_json=bool(options.json))

@@ -49,6 +49,19 @@ def add_public_data(parser: ArgumentParser) -> None:
     )
 
 
+def data_parser(description: str) -> ArgumentParser:
+    """Return a parser with what all of ``fploc data`` take."""
+    parser = new_parser(description)
+    add_config(parser)
+    add_public_data(parser)
+    return parser
+
+
+def listed(text: str) -> list[str]:
+    """Return names with commas between."""
+    return [name.strip() for name in text.split(",")]
+
+
 def add_trained(parser: ArgumentParser) -> None:
     """Add which trained artifacts are taken."""
     parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")

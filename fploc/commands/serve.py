@@ -10,11 +10,12 @@ from jsonargparse import ArgumentParser, Namespace
 from fploc.commands import token
 from fploc.commands.interface import Command
 from fploc.commands.options import (
-    add_artifacts,
     add_config,
     add_data_root,
     add_database,
+    add_trained,
     database_url,
+    listed,
     new_parser,
 )
 from fploc.errors import FplocError
@@ -39,8 +40,6 @@ def parser() -> ArgumentParser:
     parser.add_argument(
         "--speed-prior", type=float | None, default=None, help="Of people, m/s. Default: of the settings."
     )
-    parser.add_argument("--seed", type=int, default=0, help="Seed of the trained artifact.")
-    parser.add_argument("--preset", type=str, default="default", help="Preset of the trained artifact.")
     parser.add_argument(
         "--settings", type=str, default="default", help="Limits and times: conf/serve/NAME.yaml."
     )
@@ -48,7 +47,7 @@ def parser() -> ArgumentParser:
     parser.add_argument("--port", type=int, default=8000, help="Port to listen at; 0 takes a free one.")
     add_database(parser)
     add_data_root(parser)
-    add_artifacts(parser)
+    add_trained(parser)
     return parser
 
 
@@ -76,7 +75,7 @@ def run(options: Namespace) -> None:
     request = ModelRequest(
         options.model, options.calibration, speed_mps, options.preset, options.seed, options.runs
     )
-    places = [packed_place(name.strip(), options.data_root) for name in options.site.split(",")]
+    places = [packed_place(name, options.data_root) for name in listed(options.site)]
     sites = [served_site(root, name, request) for root, name in dict.fromkeys(places)]
     store = Store(database_url(options))
     with listening_socket(options.host, options.port) as listening:

@@ -76,7 +76,8 @@ class _Rows:
         self._lengths[slots] = torch.tensor(leaf.shape[1:], dtype=torch.int64)
         if leaf.shape[1:] != self.values.shape[1:]:
             self._fit()
-        self.values[slots] = lengthened(leaf.to(self.values.dtype), self.values.shape[1:])
+            leaf = lengthened(leaf, self.values.shape[1:])
+        self.values[slots] = leaf.to(self.values.dtype)
 
     def drop(self, slot: int) -> None:
         """Forget what is in a slot."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from jsonargparse import ArgumentParser, Namespace
 
 from fploc.commands.named_sites import packed_names
-from fploc.commands.options import add_config, add_printed_json, add_public_data, new_parser
+from fploc.commands.options import add_printed_json, data_parser
 from fploc.commands.printing import print_values
 
 MEANING = "Put packed sites into one file to deposit."
@@ -16,9 +16,7 @@ MEANING = "Put packed sites into one file to deposit."
 
 def parser() -> ArgumentParser:
     """Return the parser of its options."""
-    parser = new_parser(f"{MEANING} Example: fploc data archive --out data.zip")
-    add_config(parser)
-    add_public_data(parser)
+    parser = data_parser(f"{MEANING} Example: fploc data archive --out data.zip")
     parser.add_argument("--out", type=Path, default=Path("runs/fploc-data.zip"), help="File to write.")
     add_printed_json(parser)
     return parser

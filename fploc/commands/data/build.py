@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from jsonargparse import ArgumentParser, Namespace
 
 from fploc.commands.named_sites import named_sites
-from fploc.commands.options import add_config, add_printed_json, add_public_data, new_parser
+from fploc.commands.options import add_printed_json, data_parser
 from fploc.commands.printing import print_rows, remark
 from fploc.errors import FplocError
 
@@ -21,9 +21,7 @@ MEANING = "Pack sites."
 
 def parser() -> ArgumentParser:
     """Return the parser of its options."""
-    parser = new_parser(f"{MEANING} Example: fploc data build --from DIR --sites office,laboratory")
-    add_config(parser)
-    add_public_data(parser)
+    parser = data_parser(f"{MEANING} Example: fploc data build --from DIR --sites office,laboratory")
     add_printed_json(parser)
     return parser
 

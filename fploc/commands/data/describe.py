@@ -9,7 +9,7 @@ from pathlib import Path
 from jsonargparse import ArgumentParser, Namespace
 
 from fploc.commands.named_sites import packed_names
-from fploc.commands.options import add_config, add_printed_json, add_public_data, new_parser
+from fploc.commands.options import add_printed_json, data_parser
 from fploc.commands.printing import print_rows
 
 MEANING = "Count what packed sites hold, write their data cards."
@@ -17,9 +17,7 @@ MEANING = "Count what packed sites hold, write their data cards."
 
 def parser() -> ArgumentParser:
     """Return the parser of its options."""
-    parser = new_parser(f"{MEANING} Example: fploc data describe --out cards")
-    add_config(parser)
-    add_public_data(parser)
+    parser = data_parser(f"{MEANING} Example: fploc data describe --out cards")
     parser.add_argument(
         "--out",
         type=Path,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from jsonargparse import ArgumentParser, Namespace
 
 from fploc.commands.named_sites import named_sites
-from fploc.commands.options import add_config, add_printed_json, add_public_data, new_parser
+from fploc.commands.options import add_printed_json, data_parser
 from fploc.commands.printing import print_values
 
 MEANING = "Fetch the public files that the sites need."
@@ -13,9 +13,7 @@ MEANING = "Fetch the public files that the sites need."
 
 def parser() -> ArgumentParser:
     """Return the parser of its options."""
-    parser = new_parser(f"{MEANING} Example: fploc data download --sites office")
-    add_config(parser)
-    add_public_data(parser)
+    parser = data_parser(f"{MEANING} Example: fploc data download --sites office")
     add_printed_json(parser)
     return parser
 

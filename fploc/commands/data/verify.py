@@ -7,7 +7,7 @@ from dataclasses import asdict
 from jsonargparse import ArgumentParser, Namespace
 
 from fploc.commands.named_sites import named_sites
-from fploc.commands.options import add_config, add_printed_json, add_public_data, new_parser
+from fploc.commands.options import add_printed_json, data_parser
 from fploc.commands.printing import print_values
 
 MEANING = "Check files against their hashes."
@@ -15,9 +15,7 @@ MEANING = "Check files against their hashes."
 
 def parser() -> ArgumentParser:
     """Return the parser of its options."""
-    parser = new_parser(f"{MEANING} Example: fploc data verify --from DIR")
-    add_config(parser)
-    add_public_data(parser)
+    parser = data_parser(f"{MEANING} Example: fploc data verify --from DIR")
     add_printed_json(parser)
     return parser
 
