@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import FrameType
 from urllib.parse import unquote
 
 import httpx
@@ -259,9 +260,26 @@ def test_an_unknown_host_is_told_within_seconds(tmp_path: Path) -> None:
     assert time.monotonic() - started < 8
 
 
-def test_an_interrupted_download_leaves_partial_files_that_resume(shelf: Shelf, tmp_path: Path) -> None:
+@pytest.fixture
+def interrupted() -> Iterator[threading.Event]:
+    """Set once Ctrl-C has reached the main thread, however busy the machine is."""
+    reached = threading.Event()
+
+    def interrupt(signum: int, frame: FrameType | None) -> None:
+        reached.set()
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    yield reached
+    signal.signal(signal.SIGINT, before)
+
+
+def test_an_interrupted_download_leaves_partial_files_that_resume(
+    shelf: Shelf, tmp_path: Path, interrupted: threading.Event
+) -> None:
     first, second = shelf.file("a.csv", CONTENTS * 20), shelf.file("b.csv", CONTENTS * 20)
     whole = len(CONTENTS) * 20
+    patient = Patience(connect_s=0.5, read_s=30.0, attempts=3, backoff_s=0.01)
 
     def interrupting(handler: Handler, contents: bytes) -> None:
         handler.send_response(200)
@@ -269,12 +287,13 @@ def test_an_interrupted_download_leaves_partial_files_that_resume(shelf: Shelf, 
         handler.end_headers()
         handler.wfile.write(contents[: whole // 2])
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        time.sleep(2.0)
+        interrupted.wait(20.0)
+        time.sleep(0.5)
         handler.wfile.write(contents[whole // 2 :])
 
     shelf.faults["a.csv"] = [interrupting]
     with pytest.raises(KeyboardInterrupt):
-        fetch([first, second], tmp_path, base_url=shelf.url, patience=QUICK)
+        fetch([first, second], tmp_path, base_url=shelf.url, patience=patient)
     assert not first.below(tmp_path).exists()
     part = first.below(tmp_path).with_name("a.csv.part")
     size = part.stat().st_size
