@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fploc.evaluation.results_page import IN_TIME
+from fploc.evaluation.facts_sections import IN_TIME
 
 FILES = ("steady", "curve", "kills", "browser")
 COLUMNS = (

@@ -11,10 +11,9 @@ from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.paper_numbers import KALMAN_SUFFIX, MOVED_SITES, PaperNumber, paper_numbers
 from fploc.evaluation.relative_figures import BEFORE_TUNING, OURS, TWO_ACCESS_POINTS
 from fploc.evaluation.selection import FILTERED, UNFILTERED, RecordBook, Slot
-from fploc.evaluation.tables import UNKNOWN
+from fploc.evaluation.tables import NOT_RUN, UNKNOWN
 
 COST = "cost"
-NOT_RUN = "not run"
 KINDS_OF_LABELS = ("repaired", "published")
 BOUND = ">"
 NETWORKS = ("gnn", "fpdnn")

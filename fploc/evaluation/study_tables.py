@@ -15,11 +15,10 @@ from fploc.evaluation.conditions import (
     condition,
     varied,
 )
-from fploc.evaluation.paper_comparison import NOT_RUN
 from fploc.evaluation.selection import RecordBook, Slot
+from fploc.evaluation.tables import MISSING
 
 PLAIN = Slot("zero-shot", "", 0, "")
-MISSING = f"{NOT_RUN.capitalize()}.\n"
 
 
 def study_sections(book: RecordBook) -> dict[str, str]:

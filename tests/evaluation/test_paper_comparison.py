@@ -7,7 +7,6 @@ import pytest
 from fploc.evaluation.paper_comparison import (
     COST,
     COUNTERPARTS,
-    NOT_RUN,
     comparison_sections,
     cost_rows,
     worse_sentences,
@@ -15,6 +14,7 @@ from fploc.evaluation.paper_comparison import (
 from fploc.evaluation.paper_numbers import paper_numbers
 from fploc.evaluation.records import TrackedRecord
 from fploc.evaluation.selection import RecordBook
+from fploc.evaluation.tables import NOT_RUN
 
 MakeRecord = Callable[..., TrackedRecord]
 
