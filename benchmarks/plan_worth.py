@@ -76,14 +76,16 @@ def plans(packed: PackedSite, data_root: Path) -> dict[str, FloorPlan]:
 def parts_taken(method: LearnedGridFilter, plan: FloorPlan) -> dict[str, LearnedGridFilter]:
     """Return the method without each of its parts."""
     settings = method.settings
-    everything, no_signals = method.networks
+    in_context, alone = method.networks
     walk = replace(settings.coarse.walk, walking_share=0.0)
     dawdling = replace(settings, coarse=replace(settings.coarse, walk=walk))
     changed: Mapping[str, LearnedGridFilter] = {
-        "coarse likelihood alone": LearnedGridFilter(replace(settings, learned_share=0.0), method.networks),
+        "forgiving likelihood alone": LearnedGridFilter(
+            replace(settings, learned_share=0.0), method.networks
+        ),
         "learned likelihood alone": LearnedGridFilter(replace(settings, learned_share=1.0), method.networks),
-        "view of everything alone": LearnedGridFilter(settings, [everything]),
-        "view without signals alone": LearnedGridFilter(settings, [no_signals]),
+        "network of the context alone": LearnedGridFilter(settings, [in_context]),
+        "network of range and signal alone": LearnedGridFilter(settings, [alone]),
         "nobody walks": LearnedGridFilter(dawdling, method.networks),
         "nothing tempered": LearnedGridFilter(replace(settings, correlation_s=1e-3), method.networks),
     }
