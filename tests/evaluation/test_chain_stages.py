@@ -18,19 +18,11 @@ from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.models.deepvit import DeepViT
 from fploc.models.fpdnn import FPDNN, CorrectionHead, DistanceHead
 from fploc.models.gnn import GNN
-from fploc.sites.site import AccessPoint, Site
 from fploc.solvers.nonlinear import solve_nonlinear
+from rooms import room
 
 CORNERS = ((0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0))
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 1.0)
-        for index, (x, y) in enumerate(CORNERS)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(CORNERS, height_m=1.0)
 NONE = RangeOffsets("none", 0.0)
 
 

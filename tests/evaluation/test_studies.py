@@ -13,18 +13,10 @@ from fploc.evaluation.conditions import condition, varied
 from fploc.evaluation.evaluate import EvaluationRequest
 from fploc.evaluation.studies import DRAWS, Equipment, few, misplaced
 from fploc.methods.registry import geometric_method
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
 PLACES = [(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0), (9.0, 6.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 1.0)
-        for index, (x, y) in enumerate(PLACES)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(PLACES, height_m=1.0)
 STEPS = 40
 REQUEST = EvaluationRequest("zero-shot", "box", calibration="none")
 

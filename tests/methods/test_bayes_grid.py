@@ -9,18 +9,10 @@ import torch
 
 from fploc.intervals import Intervals, NoFix
 from fploc.methods.bayes_grid import BayesGrid, BayesGridSettings
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
 CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate(CORNERS)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(CORNERS)
 COARSE = replace(BayesGridSettings.read(), cell_m=0.5, margin_m=2.0)
 
 

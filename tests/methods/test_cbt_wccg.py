@@ -10,18 +10,10 @@ import torch
 
 from fploc.intervals import Intervals, NoFix
 from fploc.methods.cbt_wccg import CbtWccg, CbtWccgSettings, heaviest_cells
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
 CORNERS = [(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0), (8.0, 18.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate(CORNERS)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(CORNERS)
 SETTINGS = CbtWccgSettings.read()
 TRUTH = torch.tensor([[6.0, 5.0], [15.2, 9.1], [2.3, 12.0]], dtype=torch.float64)
 

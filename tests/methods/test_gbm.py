@@ -9,18 +9,10 @@ from fploc.errors import FplocError
 from fploc.intervals import Intervals
 from fploc.methods.gbm import Gbm, GbmSettings
 from fploc.methods.interface import Examples
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
 PLACES = [(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0), (9.0, 6.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate(PLACES)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(PLACES)
 SETTINGS = replace(GbmSettings.read(), trees=20, learning_rate=0.4, samples_per_leaf=5, learn_every=1)
 EXCESS_M, FAINT_DBM = 4.0, -80.0
 

@@ -14,18 +14,10 @@ from fploc.intervals import Estimate, Intervals, NoFix
 from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples, Filtering, ReadsPlan, Smoothing, SourceFitted
 from fploc.methods.learned_grid import LearnedGrid, LearnedGridFilter, LearnedGridSettings
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
 CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0), (4.0, 3.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate(CORNERS)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(CORNERS)
 READ = LearnedGridSettings.read()
 SETTINGS = replace(
     READ,

@@ -7,17 +7,9 @@ import torch
 from fploc.intervals import Intervals, NoFix
 from fploc.methods.nls import NAME, nls
 from fploc.methods.nls_robust import read_settings
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate([(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0)])
-    ),
-    device_height_m=1.0,
-)
+SITE = room([(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0)])
 
 
 def interval(positions: torch.Tensor, heard: torch.Tensor) -> Intervals:

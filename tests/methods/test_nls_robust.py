@@ -12,19 +12,11 @@ from fploc.methods.nls_onesided import nls_onesided
 from fploc.methods.nls_robust import RobustSettings, nls_robust, read_settings
 from fploc.methods.nls_weighted import nls_weighted
 from fploc.methods.one_shot import OneShotMethod
-from fploc.sites.site import AccessPoint, Site
 from fploc.solvers.losses import CauchyLoss, Loss, OneSidedLoss, SoftL1Loss, SquaredLoss
+from rooms import room
 
 CORNERS = [(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0), (8.0, 18.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate(CORNERS)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(CORNERS)
 TRUTH = torch.tensor([[6.0, 5.0], [15.0, 9.0], [2.0, 12.0]], dtype=torch.float64)
 
 

@@ -9,18 +9,10 @@ import torch
 from fploc.intervals import Intervals
 from fploc.methods.nls import nls
 from fploc.methods.rtt_rss import RttRss, RttRssSettings
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
 CORNERS = [(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate(CORNERS)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(CORNERS)
 SETTINGS = RttRssSettings.read()
 
 

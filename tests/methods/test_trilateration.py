@@ -4,18 +4,10 @@ import torch
 
 from fploc.intervals import Intervals
 from fploc.methods.trilateration import trilateration
-from fploc.sites.site import AccessPoint, Site
+from rooms import room
 
 CORNERS = [(0.0, 0.0), (20.0, 0.0), (20.0, 15.0), (0.0, 15.0)]
-SITE = Site(
-    name="box",
-    place="box",
-    access_points=tuple(
-        AccessPoint(f"AP{index}", f"00:00:00:00:00:0{index}", x, y, 2.0)
-        for index, (x, y) in enumerate(CORNERS)
-    ),
-    device_height_m=1.0,
-)
+SITE = room(CORNERS)
 
 
 def test_the_farthest_of_four_does_not_count() -> None:
