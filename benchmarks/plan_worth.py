@@ -1,8 +1,9 @@
-"""What plan, survey and each part of learned-grid are worth: `python benchmarks/plan_worth.py --help`.
+"""What plan, survey, phone and each part of learned-grid are worth: `python benchmarks/plan_worth.py --help`.
 
 RMSE by repaired labels, every k-th interval at its own time. Plans are moved, scaled and turned under the access
 points, and access points are moved under the plan: the drawing or the survey is wrong, the readings are those
-measured. Parts are taken away from the trained method without training it again.
+measured. Then these are made those of a phone with louder or fainter signals, or with another offset. Parts are taken
+away from the trained method without training it again.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 
 from fploc.artifacts import offsets_of
 from fploc.datasets.packed import PackedSite, read_packed
+from fploc.datasets.recordings import Recording
 from fploc.evaluation.metrics import score
 from fploc.experiments.scoring import chosen_plan
 from fploc.floorplan.georeference import Georeference
@@ -32,6 +34,7 @@ from fploc.sites.site import Site
 SITES = ("conference-room", "laboratory", "library", "shopping-mall")
 SHIFT_M, SCALE, TURN = 1.0, 1.05, math.radians(3.0)
 SURVEY_ERROR_M, SURVEYS = 0.5, 2
+LOUDER_DB, LONGER_M = 10.0, 0.5
 LABELS = "repaired"
 
 
@@ -54,7 +57,7 @@ def plans(packed: PackedSite, data_root: Path) -> dict[str, FloorPlan]:
     """Return every plan to try at a site, by what is done to it; the library lends its plan."""
     about = tuple(packed.site.positions_m.mean(axis=0).tolist())
     cosine, sine = math.cos(TURN), math.sin(TURN)
-    changes = {
+    changes: Mapping[str, Sequence[Sequence[float]]] = {
         f"{SHIFT_M:+.0f} m in x": [[1, 0, SHIFT_M], [0, 1, 0]],
         f"{-SHIFT_M:+.0f} m in x": [[1, 0, -SHIFT_M], [0, 1, 0]],
         f"{SHIFT_M:+.0f} m in y": [[1, 0, 0], [0, 1, SHIFT_M]],
@@ -102,6 +105,22 @@ def resurveyed(site: Site, seed: int) -> Site:
     return replace(site, access_points=tuple(moved))
 
 
+def other_phones(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
+    """Return what phones that receive and measure otherwise would have recorded."""
+    return {
+        f"signals {db:+.0f} dB": [
+            replace(one, rss_dbm=np.where(one.heard, one.rss_dbm + db, 0.0)) for one in recordings
+        ]
+        for db in (LOUDER_DB, -LOUDER_DB)
+    } | {
+        f"ranges {m:+.1f} m": [
+            replace(one, slant_m=np.where(one.heard, np.maximum(one.slant_m + m, 0.0), 0.0))
+            for one in recordings
+        ]
+        for m in (LONGER_M, -LONGER_M)
+    }
+
+
 def rows_at(site: str, every: int, data_root: Path) -> list[dict[str, str]]:
     """Return a row for each thing that is done at a site."""
     packed = read_packed(data_root, site)
@@ -109,8 +128,14 @@ def rows_at(site: str, every: int, data_root: Path) -> list[dict[str, str]]:
     method, offsets = restored(artifact), offsets_of(artifact)
     recordings = [one.where(np.arange(len(one)) % every == 0) for one in packed.recordings()]
 
-    def row(kind: str, name: str, ready: LearnedGridFilter, where: Site) -> dict[str, str]:
-        tracks = localize(ready, where, recordings, offsets, None)
+    def row(
+        kind: str,
+        name: str,
+        ready: LearnedGridFilter,
+        where: Site = packed.site,
+        heard: Sequence[Recording] = recordings,
+    ) -> dict[str, str]:
+        tracks = localize(ready, where, heard, offsets, None)
         cells = {"site": site, "what": kind, "changed": name}
         for device in (1, 2):
             own = [one for one in tracks if one.recording.device == device]
@@ -118,17 +143,15 @@ def rows_at(site: str, every: int, data_root: Path) -> list[dict[str, str]]:
             cells[f"device {device}, RMSE [m]"] = f"{scores.rmse_m:.2f}"
         return cells
 
-    rows = [row("plan", "none", method, packed.site)]
+    ready = method.for_plan(packed.plan)
+    rows = [row("plan", "none", method)]
+    rows += [row("plan", name, method.for_plan(plan)) for name, plan in plans(packed, data_root).items()]
+    rows += [row("part", name, one) for name, one in parts_taken(method, packed.plan).items()]
     rows += [
-        row("plan", name, method.for_plan(plan), packed.site)
-        for name, plan in plans(packed, data_root).items()
-    ]
-    rows += [row("part", name, one, packed.site) for name, one in parts_taken(method, packed.plan).items()]
-    rows += [
-        row("survey", f"up to {SURVEY_ERROR_M} m off, draw {seed}", method.for_plan(packed.plan), wrong)
+        row("survey", f"up to {SURVEY_ERROR_M} m off, draw {seed}", ready, resurveyed(packed.site, seed))
         for seed in range(SURVEYS)
-        for wrong in [resurveyed(packed.site, seed)]
     ]
+    rows += [row("phone", name, ready, heard=heard) for name, heard in other_phones(recordings).items()]
     return rows
 
 

@@ -128,7 +128,8 @@ def parts(facts: Facts) -> str:
     return (
         "RMSE of `default` as it ships for zero-shot, device 1 / 2, m, own filter, repaired labels, every tenth "
         "interval at its own time (benchmarks/plan_worth.py). Plans are moved, scaled and turned under the access "
-        "points, access points are moved under the plan; parts are taken away without training again.\n\n"
+        "points, access points are moved under the plan; signals are made louder or fainter, ranges longer or "
+        "shorter, as another phone might have them; parts are taken away without training again.\n\n"
         + (markdown_grid(table) or MISSING)
     )
 

@@ -65,7 +65,7 @@ def results_page(records: Sequence[TrackedRecord], facts: sections.Facts, *, pre
         "Stage by stage": sections.stages(facts),
         "What the plan is worth": _plans(book),
         "Ablations": _ablations(book, facts),
-        "What plan, survey and parts are worth to the default": sections.parts(facts),
+        "What plan, survey, phone and parts are worth to the default": sections.parts(facts),
         "Offline": sections.offline(facts),
         "Generated and measured data": sections.generator(facts),
         "Published widths": _published_widths(records),

@@ -220,7 +220,9 @@ FACTS: dict[str, Any] = {
 
 def test_what_the_default_owes_to_plan_and_parts_has_a_column_for_each_site() -> None:
     page = results_page([], FACTS)
-    section = page.split("## What plan, survey and parts are worth to the default")[1].split("\n## ")[0]
+    section = page.split("## What plan, survey, phone and parts are worth to the default")[1].split("\n## ")[
+        0
+    ]
     assert "| what | changed | shopping-mall | library |" in section
     assert "| plan | blank | 0.51/0.92 | 0.70/0.92 |" in section
     assert "| part | nobody walks | 0.51/0.92 | – |" in section
