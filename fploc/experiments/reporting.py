@@ -24,6 +24,7 @@ from fploc.experiments.plan import SEEN, SEES_THE_PLAN, ZERO_SHOT, Scoring, is_h
 from fploc.experiments.preset import NETWORKS, Preset, read_ablation
 from fploc.experiments.scoring import ready_method
 from fploc.experiments.stages import Cost
+from fploc.experiments.tracked_scoring import ScoreFiles
 from fploc.files import whole
 from fploc.filters.kalman import KalmanSettings
 from fploc.methods.gnn_fpdnn import GNNFPDNN
@@ -40,7 +41,7 @@ class Report:
         source: Site that was learned from.
         packed: All packed sites at hand, by name.
         scorings: Everything that was scored.
-        records_file: Where the records of a scoring lie; the errors of its intervals lie beside them (.npz).
+        files: Where the scores lie.
         data_root: Folder of packed sites.
         runs: Folder of runs.
         folder: Of the preset, below ``runs``.
@@ -52,7 +53,7 @@ class Report:
         source: str,
         packed: Mapping[str, PackedSite],
         scorings: Sequence[Scoring],
-        records_file: Callable[[Scoring], Path],
+        files: ScoreFiles,
         data_root: Path,
         runs: Path,
         folder: Path,
@@ -61,7 +62,7 @@ class Report:
         self.source = source
         self.packed = packed
         self.scorings = scorings
-        self.records_file = records_file
+        self.files = files
         self.data_root = data_root
         self.runs = runs
         self.folder = folder
@@ -74,7 +75,7 @@ class Report:
             matches: Files with the match of generated with measured data, one for each site.
         """
         records = [
-            one for scoring in self.scorings for one in read_tracked_records(self.records_file(scoring))
+            one for scoring in self.scorings for one in read_tracked_records(self.files.records(scoring))
         ]
         places = list(self._places())
         write_records(records, self.folder / RECORDS)
@@ -97,9 +98,9 @@ class Report:
         plain = [one for one in self.scorings if is_headline(one, self.preset)]
         for protocol, site in dict.fromkeys((one.protocol, one.site) for one in plain):
             errors = {
-                one.method: read_error_series(self._errors_file(one))
+                one.method: read_error_series(self.files.errors(one))
                 for one in plain
-                if (one.protocol, one.site) == (protocol, site) and self._errors_file(one).is_file()
+                if (one.protocol, one.site) == (protocol, site) and self.files.errors(one).is_file()
             }
             if errors:
                 yield self._place(protocol, site, errors)
@@ -158,9 +159,6 @@ class Report:
             "training_cost": [{"stage": name} | asdict(cost) for name, cost in costs.items()],
             "ablations": {name: read_ablation(name).reason for name in self.preset.ablations},
         }
-
-    def _errors_file(self, scoring: Scoring) -> Path:
-        return self.records_file(scoring).with_suffix(".npz")
 
 
 def _by_place(

@@ -3,39 +3,27 @@
 from __future__ import annotations
 
 import logging
-import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
-import numpy as np
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
-
-from fploc.datasets.packed import PackedSite, read_packed
+from fploc.datasets.packed import read_packed
 from fploc.errors import FplocError
-from fploc.evaluation.error_series import error_series, write_error_series
-from fploc.evaluation.evaluate import EvaluationRequest
-from fploc.evaluation.metrics import held_errors_m
 from fploc.evaluation.protocols import protocol_of
-from fploc.evaluation.records import TrackedRecord, read_tracked_records, write_records
+from fploc.evaluation.records import read_tracked_records
 from fploc.evaluation.report import comparison_rows, headline_records
-from fploc.evaluation.revision import running_commit
 from fploc.evaluation.run_log import RunLog
 from fploc.experiments.duration import announce_duration
 from fploc.experiments.learning import GENERATOR, Learner
 from fploc.experiments.overviews import record_overviews
 from fploc.experiments.plan import (
-    CALIBRATIONS,
-    EQUIPMENT,
     LEARNED_METHODS,
     SEEN,
     Learning,
     Scoring,
     chosen_protocols,
-    is_headline,
     learnings,
     needed_sites,
     scorings,
@@ -44,19 +32,16 @@ from fploc.experiments.plan import (
 from fploc.experiments.preset import Preset, read_preset
 from fploc.experiments.registered_models import register_models
 from fploc.experiments.reporting import FACTS, FIGURES, PAGE, RECORDS, Report
-from fploc.experiments.scoring import PLANS, Scored, scored
+from fploc.experiments.scoring import PLANS
 from fploc.experiments.stages import Stage, StageBook
-from fploc.experiments.study import calibration_study, equipment_study
 from fploc.experiments.synthesize import MATCH, synthesize
+from fploc.experiments.tracked_scoring import FIGURE_LABELS, ScoreFiles, TrackedScoring
 from fploc.experiments.training import Loggers
 from fploc.experiments.world import World, prepare_world
-from fploc.localizer import Track
-from fploc.plots.results import plot_cdf, plot_tracks
 
 EXPERIMENT = "fploc"
 STAGES = "stages"
 TRAINING = "train--"
-FIGURE_LABELS = "repaired"
 
 
 class Reproduction:
@@ -90,6 +75,10 @@ class Reproduction:
             preset, world.source, self.packed, data_root, runs, self.offsets_file, self.folder
         )
         self.log = RunLog(runs, EXPERIMENT)
+        self.files = ScoreFiles(self.folder)
+        self.scoring = TrackedScoring(
+            preset, world, self.packed, self.learner, self.log, self.files, data_root, runs
+        )
 
     @classmethod
     def on(
@@ -164,7 +153,7 @@ class Reproduction:
         return [one for one in needed if one in known]
 
     def _scoring_stage(self, scoring: Scoring) -> Stage:
-        file = self._records_file(scoring)
+        file = self.files.records(scoring)
         protocol = protocol_of(scoring.protocol, self.world.source)
         trained = Learning(
             protocol.artifacts_of(scoring.site), scoring.site, scoring.seed, scoring.ablation
@@ -176,7 +165,7 @@ class Reproduction:
             self.learner.sites_of(scoring.protocol, scoring.site),
             [file],
             [needed],
-            partial(self._score, scoring),
+            partial(self.scoring.score, scoring),
         )
 
     def _synthesis_stage(self, site: str) -> Stage:
@@ -230,86 +219,8 @@ class Reproduction:
         self.learner.source_data(None).fitted_offsets().save(self.offsets_file)
 
     def _loggers(self, protocol: str, site: str, seed: int, ablation: str) -> Loggers:
-        tags = self._tags("training", Scoring("", protocol, site, seed, ablation))
+        tags = self.scoring.tags("training", Scoring("", protocol, site, seed, ablation))
         return lambda network: self.log.training_logger(f"train {network} · {protocol} · {site}", tags)
-
-    def _score(self, scoring: Scoring) -> None:
-        request = EvaluationRequest(
-            protocol=scoring.protocol,
-            site=scoring.site,
-            source=self.world.source,
-            calibration=self.preset.calibration,
-            plan=scoring.plan,
-            thin=scoring.thin,
-            preset=self.preset.variant(scoring.ablation).name,
-            seed=scoring.seed,
-        )
-        done = self._scored(scoring, request)
-        run_id = self._record_run(scoring, done)
-        file = self._records_file(scoring)
-        file.parent.mkdir(parents=True, exist_ok=True)
-        if done.tracks:
-            series = [error_series(track, FIGURE_LABELS) for track in done.tracks]
-            write_error_series(series, self._errors_file(scoring))
-        hashed = self._data_hash(scoring)
-        tracked = [TrackedRecord(record, run_id, hashed, self.world.made_up) for record in done.records]
-        write_records(tracked, file)
-
-    def _scored(self, scoring: Scoring, request: EvaluationRequest) -> Scored:
-        method, preset, folders = scoring.method, self.preset, (self.data_root, self.runs)
-        if scoring.study == CALIBRATIONS:
-            return Scored(calibration_study(method, request, preset.calibrations, *folders), tracks=[])
-        if scoring.study == EQUIPMENT:
-            counts, errors_m = preset.access_point_counts, preset.survey_errors_m
-            return Scored(equipment_study(method, request, counts, errors_m, *folders), tracks=[])
-        return scored(method, request, None, *folders)
-
-    def _record_run(self, scoring: Scoring, done: Scored) -> str:
-        learned = scoring.method in LEARNED_METHODS
-        protocol = protocol_of(scoring.protocol, self.world.source)
-        kind = protocol.kind if learned else "baseline"
-        metrics = {
-            f"{_prefix(record.condition)}device{record.device}.{record.labels}.{record.filter}.{name}": value
-            for record in done.records
-            for name, value in asdict(record).items()
-            if isinstance(value, float) and name not in ("speed_prior",)
-        }
-        artifact = Learning(protocol.artifacts_of(scoring.site), scoring.site, scoring.seed, scoring.ablation)
-        return self.log.record(
-            " · ".join(filter(None, [scoring.method, scoring.protocol, scoring.site, scoring.study])),
-            tags=self._tags(kind, scoring) | {"method": scoring.method},
-            parameters=asdict(scoring)
-            | {
-                "preset": self.preset.name,
-                "calibration": done.records[0].calibration,
-                "speed_prior_mps": done.records[0].speed_prior,
-                "data_hash": self._data_hash(scoring),
-            },
-            metrics=metrics,
-            figures=self._run_figures(scoring, done.tracks),
-            folders={"model": self.learner.folder_of(scoring.method, artifact)} if learned else {},
-        )
-
-    def _run_figures(self, scoring: Scoring, tracks: Sequence[Track]) -> dict[str, Figure]:
-        """Return the figures of a run: errors and one track of each device; none beside the plain ones."""
-        if not is_headline(scoring, self.preset):
-            return {}
-        packed = self.packed[scoring.site]
-        errors = {
-            f"cdf-device{device}.png": plot_cdf(
-                _errors_by_filter([track for track in tracks if track.recording.device == device]),
-                f"{scoring.method}, {scoring.site}, device {device}",
-                made_up=self.world.made_up,
-            )
-            for device in sorted({track.recording.device for track in tracks})
-        }
-        return errors | {
-            f"track-device{track.recording.device}.png": _track_figure(track, packed, scoring.method)
-            for track in _first_of_each_device(tracks)
-        }
-
-    def _data_hash(self, scoring: Scoring) -> str:
-        return self.learner.data_hash(Learning(scoring.protocol, scoring.site, scoring.seed))
 
     def _synthesize(self, site: str) -> None:
         synthesize(
@@ -330,7 +241,7 @@ class Reproduction:
             self.world.source,
             self.packed,
             self.scorings(),
-            self._records_file,
+            self.files,
             self.data_root,
             self.runs,
             self.folder,
@@ -350,27 +261,6 @@ class Reproduction:
 
     def _match_file(self, site: str) -> Path:
         return self.folder / "synthetic" / site / MATCH
-
-    def _records_file(self, scoring: Scoring) -> Path:
-        return self.folder / "scores" / f"{scoring.name}.jsonl"
-
-    def _errors_file(self, scoring: Scoring) -> Path:
-        return self._records_file(scoring).with_suffix(".npz")
-
-    def _tags(self, kind: str, scoring: Scoring) -> dict[str, str]:
-        return {
-            "kind": kind,
-            "protocol": scoring.protocol,
-            "site": scoring.site,
-            "seed": str(scoring.seed),
-            "plan": scoring.plan,
-            "thin": str(scoring.thin),
-            "study": scoring.study or "none",
-            "preset": self.preset.variant(scoring.ablation).name,
-            "data": "made-up" if self.world.made_up else "public",
-            "data_hash": self._data_hash(scoring),
-            "commit": running_commit() or "unknown",
-        }
 
 
 @dataclass(frozen=True)
@@ -481,40 +371,3 @@ def _stages_by_name(
         opened = Reproduction.on(preset, world, targets, data_root, runs)
         _OPENED[key] = {stage.name: stage for stage in opened.stages()}
     return _OPENED[key]
-
-
-def _prefix(condition: str) -> str:
-    """Return what stands before the metrics of a condition; nothing without one."""
-    return f"{re.sub('[^a-z0-9.]+', '-', condition.lower())}." if condition else ""
-
-
-def _errors_by_filter(tracks: Sequence[Track]) -> dict[str, NDArray[np.float64]]:
-    def errors(filtered: bool) -> NDArray[np.float64]:
-        return np.concatenate(
-            [
-                held_errors_m(
-                    track.filtered if filtered and track.filtered is not None else track.unfiltered,
-                    track.recording.labels_m(FIGURE_LABELS),
-                )
-                for track in tracks
-            ]
-        )
-
-    return {"unfiltered": errors(False), "Kalman filter": errors(True)}
-
-
-def _first_of_each_device(tracks: Sequence[Track]) -> list[Track]:
-    return list({track.recording.device: track for track in reversed(tracks)}.values())[::-1]
-
-
-def _track_figure(track: Track, packed: PackedSite, method: str) -> Figure:
-    paths = {"unfiltered": track.unfiltered.positions_m}
-    if track.filtered is not None:
-        paths["Kalman filter"] = track.filtered.positions_m
-    return plot_tracks(
-        packed.plan,
-        packed.site,
-        track.recording.labels_m(FIGURE_LABELS),
-        paths,
-        f"{method}, {packed.site.name} {track.recording.name}",
-    )

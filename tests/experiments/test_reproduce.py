@@ -28,6 +28,7 @@ from fploc.experiments.plan import Scoring
 from fploc.experiments.preset import Preset
 from fploc.experiments.reproduce import EXPERIMENT, Reproduction
 from fploc.experiments.scoring import data_hash
+from fploc.experiments.tracked_scoring import TrackedScoring
 from fploc.experiments.world import World
 from fploc.sites.made_up import made_up_site
 from fploc.sites.registry import known_sites
@@ -100,15 +101,15 @@ def unreachable() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def calls(tmp_path_factory: pytest.TempPathFactory, miniature: Preset, unreachable: None) -> Calls:
     root = tmp_path_factory.mktemp("reproduce")
-    score = Reproduction._score
+    score = TrackedScoring.score
 
-    def interrupt(self: Reproduction, scoring: Scoring) -> None:
+    def interrupt(self: TrackedScoring, scoring: Scoring) -> None:
         if scoring == INTERRUPTED_AT:
             raise KeyboardInterrupt
         score(self, scoring)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Reproduction, "_score", interrupt)
+        patch.setattr(TrackedScoring, "score", interrupt)
         interrupted = call(root)
     left = {path.name for path in (root / "runs").rglob("*")}
     return Calls(root, interrupted, left, resumed=call(root), again=call(root))
