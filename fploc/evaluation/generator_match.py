@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from fploc.evaluation.tables import plain
+
 Floats = NDArray[np.float64]
 
 SPREAD_OF_MAD = 1.482602218505602
@@ -118,7 +120,7 @@ def printed_rows(match: Mapping[str, Any]) -> list[dict[str, str]]:
             "AP": row["access_point"],
             "data": row["data"],
             "n": f"{row['n']:,}",
-            **{text: "–" if row[name] is None else f"{row[name]:.2f}" for name, text in headings.items()},
+            **{text: plain(row[name]) for name, text in headings.items()},
         }
         for row in match["rows"]
     ]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.protocols import protocol_of
 from fploc.evaluation.records import Record
-from fploc.evaluation.tables import UNKNOWN
+from fploc.evaluation.tables import UNKNOWN, plain
 from fploc.shipped import POOLED, SHIPPING_COMMAND, SOURCE_ONLY
 
 _CARD = """# Model card: `{method}`, trained
@@ -44,13 +44,13 @@ def model_card(records: Sequence[Record]) -> str:
             "learned from": protocol_of(one.protocol).meaning,
             "site": one.site,
             "device": str(one.device),
-            "RMSE [m]": _text(one.rmse_m),
-            "median [m]": _text(one.p50_m),
-            "90 % [m]": _text(one.p90_m),
+            "RMSE [m]": plain(one.rmse_m),
+            "median [m]": plain(one.p50_m),
+            "90 % [m]": plain(one.p90_m),
             "in the stated 95 % region": UNKNOWN
             if one.coverage95 is None
             else f"{100 * one.coverage95:.0f} %",
-            "NEES": _text(one.nees),
+            "NEES": plain(one.nees),
         }
         for one in records
     ]
@@ -61,7 +61,3 @@ def model_card(records: Sequence[Record]) -> str:
         source=SOURCE_ONLY.protocol,
         table=markdown_grid(rows),
     )
-
-
-def _text(value: float | None) -> str:
-    return UNKNOWN if value is None else f"{value:.2f}"

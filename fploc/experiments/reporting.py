@@ -41,10 +41,9 @@ class Report:
         source: Site that was learned from.
         packed: All packed sites at hand, by name.
         scorings: Everything that was scored.
-        files: Where the scores lie.
+        files: Where the scores lie; what is written goes to the same folder.
         data_root: Folder of packed sites.
         runs: Folder of runs.
-        folder: Of the preset, below ``runs``.
     """
 
     def __init__(
@@ -56,7 +55,6 @@ class Report:
         files: ScoreFiles,
         data_root: Path,
         runs: Path,
-        folder: Path,
     ) -> None:
         self.preset = preset
         self.source = source
@@ -65,7 +63,6 @@ class Report:
         self.files = files
         self.data_root = data_root
         self.runs = runs
-        self.folder = folder
 
     def write(self, costs: Mapping[str, Cost], matches: Sequence[Path]) -> None:
         """Write records, page, facts and figures.
@@ -78,15 +75,15 @@ class Report:
             one for scoring in self.scorings for one in read_tracked_records(self.files.records(scoring))
         ]
         places = list(self._places())
-        write_records(records, self.folder / RECORDS)
+        write_records(records, self.files.folder / RECORDS)
         self._write(PAGE, page(records, preset=self.preset.name))
         facts = self._facts(places, costs, [json.loads(file.read_text()) for file in matches])
         self._write(FACTS, json.dumps(facts, indent=1) + "\n")
         studied = [one for one in records if is_studied(one.record.condition)]
-        write_figures(places, self._plain(records), studied, self.folder / FIGURES)
+        write_figures(places, self._plain(records), studied, self.files.folder / FIGURES)
 
     def _write(self, name: str, text: str) -> None:
-        with whole(self.folder / name) as part:
+        with whole(self.files.folder / name) as part:
             part.write_text(text, encoding="utf-8")
 
     def _plain(self, records: Sequence[TrackedRecord]) -> list[TrackedRecord]:

@@ -244,7 +244,6 @@ class Reproduction:
             self.files,
             self.data_root,
             self.runs,
-            self.folder,
         )
         report.write(
             {name: book.cost(name) for name in trained},
