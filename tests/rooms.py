@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from fploc.floorplan.georeference import Georeference
+from fploc.floorplan.plan import FloorPlan
 from fploc.sites.site import AccessPoint, Site
 
 
@@ -18,3 +22,12 @@ def room(places: Sequence[tuple[float, float]], *, height_m: float = 2.0) -> Sit
         ),
         device_height_m=1.0,
     )
+
+
+def open_plan(site: Site) -> FloorPlan:
+    """Return a plan of a site and 2 m around it without a wall, 0.1 m a pixel."""
+    low, high = site.positions_m.min(axis=0) - 2.0, site.positions_m.max(axis=0) + 2.0
+    width, height = np.ceil((high - low) * 10).astype(int).tolist()
+    walls = np.zeros((height, width), dtype=bool)
+    grey = np.full(walls.shape, 255, dtype=np.uint8)
+    return FloorPlan("open", grey, walls, Georeference.of_raster([low[0], high[1]], 0.1))

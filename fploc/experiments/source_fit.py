@@ -34,7 +34,7 @@ def examples_of(source: SourceRecordings, offsets: RangeOffsets) -> Examples:
     longest = max(len(one) for one in labels)
     filled = [np.pad(one, [(0, longest - len(one)), (0, 0)], constant_values=np.nan) for one in labels]
     devices = torch.tensor([one.device for one in source.recordings])
-    return Examples(source.site, intervals, torch.from_numpy(np.stack(filled, axis=1)), devices)
+    return Examples(source.site, source.plan, intervals, torch.from_numpy(np.stack(filled, axis=1)), devices)
 
 
 def fitted_on(method: SourceFitted, sources: Sequence[SourceRecordings], offsets: RangeOffsets) -> Method:

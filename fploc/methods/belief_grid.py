@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from fploc.floorplan.plan import FloorPlan
+from fploc.floorplan.sight import behind_walls
 from fploc.floorplan.walkable import walkable_shares
 from fploc.sites.site import Site
 
@@ -38,6 +39,7 @@ class BeliefGrid:
         cells_m: Centres, shape (C, 2), metres, site frame.
         distances_m: From each access point to each cell, shape (A, C), metres.
         plan_log: Logarithm of how likely the plan alone makes each cell, shape (C,); 0 without a plan.
+        walled: 1 where walls stand between an access point and a cell, shape (A, C), int32; 0 without a plan.
     """
 
     cell_m: float
@@ -46,6 +48,7 @@ class BeliefGrid:
     cells_m: Tensor
     distances_m: Tensor
     plan_log: Tensor
+    walled: Tensor
 
     @classmethod
     def over(cls, site: Site, *, cell_m: float, margin_m: float) -> BeliefGrid:
@@ -66,14 +69,15 @@ class BeliefGrid:
             cells_m=cells,
             distances_m=torch.cdist(access_points, cells),
             plan_log=torch.zeros(len(cells), dtype=torch.float64),
+            walled=torch.zeros(len(access_points), len(cells), dtype=torch.int32),
         )
 
-    def weighted_by(self, plan: FloorPlan, site: Site, *, blocked: float) -> BeliefGrid:
-        """Return the same cells, weighted by what a plan says of each.
+    def on(self, plan: FloorPlan, site: Site, *, blocked: float) -> BeliefGrid:
+        """Return the same cells with what a plan says of each.
 
         Args:
             plan: The plan.
-            site: Whose access points tell indoors from outdoors.
+            site: Its access points tell indoors from outdoors, and see cells or do not.
             blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
 
         Raises:
@@ -82,7 +86,8 @@ class BeliefGrid:
         shares = walkable_shares(plan, site.positions_m, self.cells_m.numpy(), self.cell_m)
         # A cell that a wall cuts in half is as good as a free one: its free half is.
         likely = torch.from_numpy(shares).mul(2).clamp(max=1.0) + blocked
-        return replace(self, plan_log=(likely / (1 + blocked)).log())
+        walled = behind_walls(plan, site.positions_m[:, None], self.cells_m.numpy())
+        return replace(self, plan_log=(likely / (1 + blocked)).log(), walled=torch.from_numpy(walled).int())
 
     def uniform(self, devices: int) -> Tensor:
         """Return beliefs that favour no cell, shape (B, X, Y)."""
@@ -134,13 +139,22 @@ class Window:
     @property
     def distances_m(self) -> Tensor:
         """From each access point to each cell, shape (B, A, C), metres."""
-        chosen = self.grid.distances_m.index_select(1, self.cells.flatten())
-        return chosen.unflatten(1, self.cells.shape).transpose(0, 1).contiguous()
+        return self._of_links(self.grid.distances_m)
+
+    @property
+    def walled(self) -> Tensor:
+        """As that of the grid, shape (B, A, C)."""
+        return self._of_links(self.grid.walled)
 
     @property
     def plan_log(self) -> Tensor:
         """As that of the grid, shape (B, C)."""
         return self.grid.plan_log[self.cells]
+
+    def _of_links(self, values: Tensor) -> Tensor:
+        """Return what these cells have of values of the grid (A, C'), shape (B, A, C)."""
+        chosen = values.index_select(1, self.cells.flatten())
+        return chosen.unflatten(1, self.cells.shape).transpose(0, 1).contiguous()
 
     def around(self, beliefs: Sequence[Tensor], reach: int) -> Window:
         """Return for each device the cells that any of its beliefs is not 0 on, and ``reach`` more on every side.

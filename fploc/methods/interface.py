@@ -123,12 +123,14 @@ class Examples:
 
     Args:
         site: Where they were made.
+        plan: Of that site; None where it has none.
         intervals: Calibrated, time first: shapes (T, B, …).
         labels: Ground truth, shape (T, B, 2), metres, site frame; NaN where there is none.
         devices: Device of each recording, shape (B,).
     """
 
     site: Site
+    plan: FloorPlan | None
     intervals: Intervals
     labels: Tensor
     devices: Tensor

@@ -4,20 +4,21 @@ The paper's chain passes one coarse point, then one corrected number per access 
 but distributions. At every interval
 
 1. a coarse belief (``fploc.methods.coarse_belief``) says what it expects of every range by all the others;
-2. two small networks (``fploc.models.range_error``) make distributions of the range's error: bias, a spread on either
-   side, probability of an outlier. One sees this and the link's recent past, the other the range and its signal
-   strength alone;
+2. small networks (``fploc.models.range_error``) make distributions of the range's error: bias, a spread on either
+   side, probability of an outlier. Each is shown something else of the link
+   (``fploc.methods.link_evidence.VIEWS``), and all but the last one say it twice: for a clear line, and for walls
+   between;
 3. the belief is moved as people move (``fploc.methods.walk``), and multiplied by the product over links of
-   p_learned^share · p_left^(1 − share). p_learned pools both networks; p_left is of what the second one's bias leaves
-   of the error, and takes all that is still too long with a shrug: what was learned elsewhere corrects, it does not
-   rule.
+   p_learned^share · p_left^(1 − share). p_learned pools the networks, and the plan says for every cell which of the
+   two it is; p_left is of what the last one's bias leaves of the error, and takes all that is still too long with a
+   shrug: what was learned elsewhere corrects, it does not rule.
 
 Likelihoods are tempered, since errors of a place repeat as long as one is there: the faster somebody walks, the
-more an interval says that is new. The plan weighs cells: nobody stands in a wall. The networks learn from
+more an interval says that is new. The plan weighs cells, too: nobody stands in a wall. The networks learn from
 recordings of source sites in which access points fall silent and offsets drift by the minute, so that they do not
 learn the source's geometry by heart.
 
-Axes: B devices, A access points, C cells.
+Axes: B devices, A access points, C cells, S kinds of sight, Q errors of a table.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from fploc.conf import instantiate, read_conf
 from fploc.errors import FplocError
 from fploc.floorplan.plan import FloorPlan
 from fploc.intervals import Estimate, Intervals, NoFix, estimate, stacked
-from fploc.methods.belief_grid import LEAST_WEIGHT, Window, likelihood_ratios, posterior
+from fploc.methods.belief_grid import LEAST_WEIGHT, BeliefGrid, Window, likelihood_ratios, posterior
 from fploc.methods.coarse_belief import (
     SILENT,
     CoarseBelief,
@@ -43,7 +44,7 @@ from fploc.methods.coarse_belief import (
     table_errors_m,
 )
 from fploc.methods.interface import Examples
-from fploc.methods.link_evidence import ALONE, IN_CONTEXT
+from fploc.methods.link_evidence import SIGHTS, VIEWS
 from fploc.methods.range_lessons import LessonSettings, range_lessons, taught
 from fploc.methods.walk import Transition
 from fploc.models.range_error import RangeErrorNetwork, log_density, modes_m
@@ -110,7 +111,7 @@ class LearnedGrid:
         """Return the method that has learned from the readings of all sources.
 
         Raises:
-            FplocError: If no reading has ground truth.
+            FplocError: If no reading has ground truth, or a source no plan.
         """
         coarse = CoarseBelief(self.settings.coarse)
         lessons = [range_lessons(one, coarse, self.settings.lessons) for one in sources]
@@ -122,7 +123,7 @@ class LearnedGrid:
                 expected="recordings with ground truth",
                 way_out="choose another method",
             )
-        networks = [taught(known, view, self.settings.lessons) for view in (IN_CONTEXT, ALONE)]
+        networks = [taught(known, view, self.settings.lessons) for view in VIEWS]
         return LearnedGridFilter(self.settings, networks)
 
 
@@ -184,6 +185,7 @@ class LearnedGridFilter:
         self._plan = plan
         self._coarse = CoarseBelief(settings.coarse)
         self._errors_m = table_errors_m()
+        self._grids: dict[Site, BeliefGrid] = {}
 
     def for_speed(self, speed_prior_mps: float) -> LearnedGridFilter:
         """Return the method for people who walk at about ``speed_prior_mps``."""
@@ -197,11 +199,17 @@ class LearnedGridFilter:
 
     def init(self, site: Site, devices: int) -> LearnedGridState:
         """Return uniform beliefs of ``devices`` devices."""
-        grid = self._coarse.grid(site)
-        if self._plan is not None:
-            grid = grid.weighted_by(self._plan, site, blocked=self.settings.blocked)
-        walk = self._coarse.walk
+        grid, walk = self._grid(site), self._coarse.walk
         return LearnedGridState(CoarseState.before(grid, walk, devices), walk.begun(grid.uniform(devices)))
+
+    def _grid(self, site: Site) -> BeliefGrid:
+        """Return the cells of a site with what the plan says of them, which takes a second the first time."""
+        if site not in self._grids:
+            grid = self._coarse.grid(site)
+            if self._plan is not None:
+                grid = grid.on(self._plan, site, blocked=self.settings.blocked)
+            self._grids[site] = grid
+        return self._grids[site]
 
     @torch.no_grad()
     def step(self, state: LearnedGridState, intervals: Intervals) -> tuple[LearnedGridState, Estimate]:
@@ -259,13 +267,20 @@ class LearnedGridFilter:
         """Return the pooled log-likelihood of the interval, shape (B, C)."""
         links = heard.features.flatten(0, 1)
         raw = [network(links) for network in self.networks]
-        learned = torch.stack([log_density(one, self._errors_m) for one in raw]).mean(0)
+        learned = [self._learned(*one) for one in zip(self.networks, raw, strict=True)]
         share = self.settings.learned_share
-        tables = share * learned + (1 - share) * self._left(self._errors_m - modes_m(raw[-1])).log()
-        tables = nn.functional.pad(tables, (0, 1))
+        left = self._left(self._errors_m - modes_m(raw[-1])).log()
+        tables = share / len(learned) * sum(learned) + (1 - share) * left
+        tables = nn.functional.pad(tables, (0, 1)).expand(-1, SIGHTS, -1)
         bins = heard.error_bins
-        rows = torch.arange(len(tables), dtype=torch.int32).view(*bins.shape[:2], 1) * (SILENT + 1)
-        return tables.flatten().index_select(0, (bins + rows).flatten()).view(bins.shape).sum(1)
+        rows = SIGHTS * torch.arange(len(tables), dtype=torch.int32).view(*bins.shape[:2], 1)
+        at = bins + (rows + heard.moved.window.walled) * (SILENT + 1)
+        return tables.flatten().index_select(0, at.flatten()).view(bins.shape).sum(1)
+
+    def _learned(self, network: RangeErrorNetwork, raw: Tensor) -> Tensor:
+        """Return the logarithm of what a network says of errors, shape (n, S, Q) or (n, 1, Q)."""
+        found = log_density(raw, self._errors_m)
+        return found if self._plan is not None else network.wherever(found)
 
     def _left(self, errors_m: Tensor) -> Tensor:
         """Return the density of what a bias leaves of errors, beside that of its mode."""

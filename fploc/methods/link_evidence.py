@@ -28,9 +28,29 @@ FEATURES = (
     "signal strength",
 )
 """Names of the axis F. Signal strengths are those received: taken against the phone's own, they say less."""
-IN_CONTEXT = tuple(range(9))
-ALONE = (0, 9)
-"""Features of two views of a link: beside all others and its own past, and as if it were the only one."""
+SIGHTS = 2
+"""Whether walls stand between: not at all, or some."""
+
+
+@dataclass(frozen=True)
+class View:
+    """What a network is shown of a link.
+
+    Args:
+        features: Of ``FEATURES``, as indices of the axis F.
+        sights: ``SIGHTS`` where it is told whether walls stand between, 1 where not.
+    """
+
+    features: tuple[int, ...]
+    sights: int
+
+
+IN_CONTEXT = View(tuple(range(9)), SIGHTS)
+BY_ITS_PAST = View((0, 6, 7, 8, 9), SIGHTS)
+BY_STRENGTH = View((0, 9), SIGHTS)
+ALONE = View((0, 9), 1)
+VIEWS = (IN_CONTEXT, BY_ITS_PAST, BY_STRENGTH, ALONE)
+"""Beside all other links and its own past, as if it were the only one, at this moment, and wherever one may be."""
 
 
 @dataclass(frozen=True)

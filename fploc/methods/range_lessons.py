@@ -1,6 +1,6 @@
-"""What the network of ``learned-grid`` learns from, and its training.
+"""What the networks of ``learned-grid`` learn from, and its training.
 
-Axes: T intervals, B recordings and copies of them, A access points, F features.
+Axes: T intervals, B recordings and copies of them, A access points, F features, S kinds of sight.
 """
 
 from __future__ import annotations
@@ -13,10 +13,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from fploc.errors import FplocError
+from fploc.floorplan.sight import behind_walls
 from fploc.intervals import FARTHEST_RANGE_M, Intervals
 from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples
-from fploc.methods.link_evidence import FEATURES
+from fploc.methods.link_evidence import FEATURES, View
 from fploc.models.range_error import RangeErrorNetwork, log_density
 from fploc.sites.site import Site
 
@@ -66,18 +68,32 @@ class Lessons:
         site: Where they were made.
         devices: Device of each, shape (n,).
         features: Shape (n, F).
+        sights: 1 where walls stand between, 0 where not, shape (n,).
         errors_m: Range minus distance, shape (n,), metres.
     """
 
     site: Site
     devices: Tensor
     features: Tensor
+    sights: Tensor
     errors_m: Tensor
 
 
 @torch.no_grad()
 def range_lessons(examples: Examples, coarse: CoarseBelief, settings: LessonSettings) -> Lessons:
-    """Return the labelled readings of a site's recordings and of copies of them, with their links' past."""
+    """Return the labelled readings of a site's recordings and of copies of them, with their links' past.
+
+    Raises:
+        FplocError: If the site has no plan.
+    """
+    plan = examples.plan
+    if plan is None:
+        raise FplocError(
+            f"floor plan of {examples.site.name}",
+            value="none",
+            expected="a plan with walls, so that ranges along clear lines teach apart from those behind walls",
+            way_out="build the site with its plan, or choose another method",
+        )
     examples = _in_order_of_names(examples)
     intervals, labels = copied(examples, settings)
     steps, rows, access_points = intervals.ranges.shape
@@ -86,15 +102,18 @@ def range_lessons(examples: Examples, coarse: CoarseBelief, settings: LessonSett
     for step in range(steps):
         state, heard = coarse.step(state, intervals.at(step))
         features[step] = heard.features
-    away = labels[:, :, None, :] - torch.from_numpy(examples.site.positions_m)
-    errors_m = intervals.ranges - away.norm(dim=-1)
+    positions_m = torch.from_numpy(examples.site.positions_m)
+    errors_m = intervals.ranges - (labels[:, :, None, :] - positions_m).norm(dim=-1)
     usable = intervals.heard & intervals.present[..., None] & errors_m.isfinite()
     usable &= intervals.ranges <= FARTHEST_RANGE_M
+    step, row, access_point = usable.nonzero(as_tuple=True)
+    walled = behind_walls(plan, positions_m[access_point].numpy(), labels[step, row].numpy())
     devices = examples.devices.repeat(rows // len(examples.devices)).expand(steps, rows)
     return Lessons(
         examples.site,
         devices[..., None].expand_as(usable)[usable],
         features[usable],
+        torch.from_numpy(walled).long(),
         errors_m[usable],
     )
 
@@ -172,22 +191,27 @@ def balanced_weights(sites: Sequence[Lessons]) -> Tensor:
     return joined * len(joined)
 
 
-def taught(sites: Sequence[Lessons], view: Sequence[int], settings: LessonSettings) -> RangeErrorNetwork:
+def taught(sites: Sequence[Lessons], view: View, settings: LessonSettings) -> RangeErrorNetwork:
     """Return a network trained on the readings of sites, balanced by place and device.
 
     Args:
         sites: At least one, each with readings.
-        view: Features that it looks at.
+        view: What it is shown.
         settings: Of the training.
     """
     weights = balanced_weights(sites)
     features = torch.cat([one.features for one in sites])
+    sights = torch.cat([one.sights for one in sites])
     errors_m = torch.cat([one.errors_m for one in sites])
     generator = torch.Generator().manual_seed(settings.seed)
+    # Nothing can be learned of walls where none were met, nor of clear lines where all were walled.
+    told_apart = min(view.sights, len(sights.unique()))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
-        network = RangeErrorNetwork(view, settings.hidden, settings.dropout).train()
+        network = RangeErrorNetwork(view.features, told_apart, settings.hidden, settings.dropout).train()
         network.scale_by(features, weights)
+        network.expect(sights, weights)
+        kinds = network.told_apart(sights)
         batch = min(BATCH, len(errors_m))
         steps = max(settings.fewest_steps, settings.epochs * len(errors_m) // batch)
         optimizer = torch.optim.AdamW(
@@ -196,7 +220,8 @@ def taught(sites: Sequence[Lessons], view: Sequence[int], settings: LessonSettin
         schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, settings.learning_rate, total_steps=steps)
         for _ in range(steps):
             drawn = torch.randint(len(errors_m), (batch,), generator=generator)
-            densities = log_density(network(features[drawn]), errors_m[drawn, None])[:, 0]
+            raw = network(features[drawn])[torch.arange(batch), kinds[drawn]]
+            densities = log_density(raw, errors_m[drawn, None])[:, 0]
             optimizer.zero_grad()
             (-(weights[drawn] * densities).mean()).backward()
             optimizer.step()

@@ -46,6 +46,7 @@ def stored(
             "class_path": NETWORK,
             "init_args": {
                 "view": network.view.tolist(),
+                "sights": network.sights,
                 "hidden": lessons.hidden,
                 "dropout": lessons.dropout,
             },

@@ -25,6 +25,7 @@ from fploc.methods.registry import (
 )
 from fploc.methods.rtt_rss import RttRssSettings
 from fploc.sites.site import AccessPoint, Site
+from rooms import open_plan
 
 PLACES = [(0.0, 0.0), (20.0, 1.0), (21.0, 15.0), (-2.0, 14.0), (9.0, 6.0), (12.0, -3.0)]
 DEVICES = 7
@@ -167,7 +168,9 @@ def examples_at(site: Site) -> Examples:
     without_last[:, [point.name == "AP5" for point in site.access_points]] = False
     halves = [intervals_of(ranges, heard), intervals_of(ranges, without_last)]
     both = {one.name: torch.stack([getattr(half, one.name) for half in halves], 1) for one in SINGLE}
-    return Examples(site, Intervals(**both), torch.stack([truth, truth], 1), torch.tensor([1, 2]))
+    return Examples(
+        site, open_plan(site), Intervals(**both), torch.stack([truth, truth], 1), torch.tensor([1, 2])
+    )
 
 
 SINGLE = fields(Intervals)[:-1]

@@ -49,7 +49,7 @@ def line_of_places(shift_m: float) -> torch.Tensor:
 def examples(shift_m: float) -> Examples:
     places = line_of_places(shift_m)
     ranges = (places[:, :, None, :] - torch.tensor(CORNERS, dtype=torch.float64)).norm(dim=-1)
-    return Examples(site(), intervals(ranges), places, torch.ones(places.shape[1], dtype=torch.int64))
+    return Examples(site(), None, intervals(ranges), places, torch.ones(places.shape[1], dtype=torch.int64))
 
 
 def test_the_nearer_fingerprint_weighs_more() -> None:

@@ -32,7 +32,7 @@ def walked(seed: int) -> Examples:
         heard=torch.ones_like(faint),
         present=torch.ones(150, 2, dtype=torch.bool),
     )
-    return Examples(SITE, intervals, truth, torch.ones(truth.shape[1], dtype=torch.int64))
+    return Examples(SITE, None, intervals, truth, torch.ones(truth.shape[1], dtype=torch.int64))
 
 
 def test_what_faint_ranges_have_too_much_is_taken_off() -> None:

@@ -14,7 +14,7 @@ from fploc.intervals import Estimate, Intervals, NoFix
 from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples, Filtering, ReadsPlan, Smoothing, SourceFitted
 from fploc.methods.learned_grid import LearnedGrid, LearnedGridFilter, LearnedGridSettings
-from rooms import room
+from rooms import open_plan, room
 
 CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0), (4.0, 3.0)]
 SITE = room(CORNERS)
@@ -25,6 +25,7 @@ SETTINGS = replace(
     lessons=replace(READ.lessons, learn_every=1, rows=4, hidden=16, fewest_steps=150),
 )
 FAINT_DBM, EXCESS_M = -85.0, 3.0
+OPEN = open_plan(SITE)
 ONE = torch.ones(2, dtype=torch.int64)
 """Both walks are of one device."""
 
@@ -55,7 +56,7 @@ def walked(seed: int, *, labelled: bool = True) -> Examples:
     names = ("t_s", "ranges", "stds", "rss", "heard", "present")
     intervals = Intervals(**{name: torch.stack([getattr(row, name) for row in rows]) for name in names})
     labels = truth.transpose(0, 1)
-    return Examples(SITE, intervals, labels if labelled else torch.full_like(labels, torch.nan), ONE)
+    return Examples(SITE, OPEN, intervals, labels if labelled else torch.full_like(labels, torch.nan), ONE)
 
 
 @cache

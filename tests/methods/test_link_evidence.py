@@ -3,7 +3,7 @@ from __future__ import annotations
 import torch
 
 from fploc.intervals import Intervals
-from fploc.methods.link_evidence import ALONE, FEATURES, IN_CONTEXT, LinkEvidence, RangeExpectation
+from fploc.methods.link_evidence import ALONE, FEATURES, VIEWS, LinkEvidence, RangeExpectation
 
 SILENT = torch.zeros(1, dtype=torch.float64)
 
@@ -34,13 +34,13 @@ def named(features: torch.Tensor) -> dict[str, float]:
 
 
 def test_a_link_alone_is_its_range_and_its_signal_strength_as_received() -> None:
-    assert [FEATURES[index] for index in ALONE] == ["range", "signal strength"]
-    assert set(IN_CONTEXT) | set(ALONE) == set(range(len(FEATURES)))
+    assert [FEATURES[index] for index in ALONE.features] == ["range", "signal strength"]
+    assert set().union(*(view.features for view in VIEWS)) == set(range(len(FEATURES)))
     evidence = LinkEvidence.before(1, 1)
     for step, (range_m, rss_dbm) in enumerate(((5.0, -60.0), (6.0, -71.5))):
         dt_s = torch.full((1,), 0.4).double()
         evidence, features = evidence.after(one_link(range_m, rss_dbm, 0.4 * step), dt_s, expected(4.0))
-        assert features[0, 0, list(ALONE)].tolist() == [range_m, rss_dbm]
+        assert features[0, 0, list(ALONE.features)].tolist() == [range_m, rss_dbm]
 
 
 def test_residuals_and_their_means_are_plain_differences_and_averages() -> None:

@@ -28,21 +28,21 @@ def test_it_is_moved_by_its_mode() -> None:
 
 def test_features_far_outside_what_was_learned_count_as_its_edge() -> None:
     torch.manual_seed(0)
-    network = RangeErrorNetwork((0, 1, 2), hidden=8, dropout=0.5).eval()
+    network = RangeErrorNetwork((0, 1, 2), 2, hidden=8, dropout=0.5).eval()
     assert torch.equal(network(torch.full((1, 3), 1e6).double()), network(torch.full((1, 3), 3.0).double()))
     assert torch.isfinite(network(torch.zeros(2, 3).double())).all()
 
 
 def test_features_out_of_view_change_nothing() -> None:
     torch.manual_seed(0)
-    network = RangeErrorNetwork((0, 2), hidden=8, dropout=0.5).eval()
+    network = RangeErrorNetwork((0, 2), 2, hidden=8, dropout=0.5).eval()
     features = torch.tensor([[0.1, 0.2, 0.3], [0.1, -2.0, 0.3]], dtype=torch.float64)
     one, other = network(features)
     assert torch.equal(one, other)
 
 
 def test_inputs_are_scaled_by_weighted_moments() -> None:
-    network = RangeErrorNetwork((1, 2), hidden=8, dropout=0.0)
+    network = RangeErrorNetwork((1, 2), 1, hidden=8, dropout=0.0)
     features = torch.tensor([[9.0, 1.0, 2.0], [9.0, 3.0, 2.0]], dtype=torch.float64)
     network.scale_by(features, torch.tensor([3.0, 1.0], dtype=torch.float64))
     torch.testing.assert_close(network.means, torch.tensor([1.5, 2.0], dtype=torch.float64))
