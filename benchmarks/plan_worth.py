@@ -79,7 +79,7 @@ def plans(packed: PackedSite, data_root: Path) -> dict[str, FloorPlan]:
 def parts_taken(method: LearnedGridFilter, plan: FloorPlan) -> dict[str, LearnedGridFilter]:
     """Return the method without each of its parts."""
     settings = method.settings
-    in_context, alone = method.networks
+    in_context, by_its_past, by_strength, alone = method.networks
     walk = replace(settings.coarse.walk, walking_share=0.0)
     dawdling = replace(settings, coarse=replace(settings.coarse, walk=walk))
     changed: Mapping[str, LearnedGridFilter] = {
@@ -87,8 +87,12 @@ def parts_taken(method: LearnedGridFilter, plan: FloorPlan) -> dict[str, Learned
             replace(settings, learned_share=0.0), method.networks
         ),
         "learned likelihood alone": LearnedGridFilter(replace(settings, learned_share=1.0), method.networks),
-        "network of the context alone": LearnedGridFilter(settings, [in_context]),
-        "network of range and signal alone": LearnedGridFilter(settings, [alone]),
+        "without the network of the context": LearnedGridFilter(settings, [by_its_past, by_strength, alone]),
+        "without the network of a link's past": LearnedGridFilter(settings, [in_context, by_strength, alone]),
+        "without the network of walls and signal": LearnedGridFilter(
+            settings, [in_context, by_its_past, alone]
+        ),
+        "network of range and signal alone, blind to walls": LearnedGridFilter(settings, [alone]),
         "nobody walks": LearnedGridFilter(dawdling, method.networks),
         "nothing tempered": LearnedGridFilter(replace(settings, correlation_s=1e-3), method.networks),
     }

@@ -19,6 +19,7 @@ from fploc.methods.belief_grid import (
     posterior,
 )
 from fploc.sites.site import AccessPoint, Site
+from rooms import open_plan
 
 
 @given(st.floats(-9.0, 9.0), st.floats(0.3, 4.0))
@@ -150,6 +151,21 @@ def test_a_window_knows_the_cells_of_its_grid() -> None:
         torch.testing.assert_close(grid.cells_m[window.cells[device]], cells, atol=0, rtol=0)
         torch.testing.assert_close(window.distances_m[device], grid.distances_m[:, window.cells[device]])
     torch.testing.assert_close(window.plan_log, window.cells.double())
+
+
+def test_a_plan_says_of_each_cell_which_access_points_it_sees() -> None:
+    plan = open_plan(SITE)
+    walls = plan.walls.copy()
+    walls[:, 58:62] = True
+    grid = GRID.on(replace(plan, walls=walls), SITE, blocked=0.1)
+    # The wall runs from x = 3.8 to 4.2 m between both access points.
+    left, right = grid.cells_m[:, 0] < 3.8, grid.cells_m[:, 0] > 4.2
+    assert (grid.walled[:, left] == torch.tensor([[0], [1]])).all()
+    assert (grid.walled[:, right] == torch.tensor([[1], [0]])).all()
+    assert not GRID.walled.any()
+    window = Window.whole(grid, 2).around([somewhere((3, 4), (11, 15))], reach=2)
+    for device in range(2):
+        assert torch.equal(window.walled[device], grid.walled[:, window.cells[device]])
 
 
 def test_a_window_sees_the_moments_of_the_whole() -> None:

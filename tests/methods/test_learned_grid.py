@@ -10,10 +10,12 @@ import torch
 from fploc.errors import FplocError
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
+from fploc.floorplan.sight import behind_walls
 from fploc.intervals import Estimate, Intervals, NoFix
 from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples, Filtering, ReadsPlan, Smoothing, SourceFitted
 from fploc.methods.learned_grid import LearnedGrid, LearnedGridFilter, LearnedGridSettings
+from fploc.methods.link_evidence import VIEWS
 from rooms import open_plan, room
 
 CORNERS = [(0.0, 0.0), (8.0, 0.0), (8.0, 6.0), (0.0, 6.0), (4.0, 3.0)]
@@ -237,6 +239,50 @@ def test_nobody_is_put_into_a_wall() -> None:
     beside = walled.step(walled.init(SITE, 1), made)[1].positions[0, 0]
     assert beside < free
     assert (beside - 4.9).abs() < 1.0
+
+
+def divided(opening_m: float) -> FloorPlan:
+    """Return a plan with a wall of 0.2 m across the box at x = 4 m, but for an opening at the top."""
+    walls = OPEN.walls.copy()
+    walls[round(opening_m * 10) :, 59:61] = True
+    return replace(OPEN, walls=walls)
+
+
+def walled_walks(seed: int) -> Examples:
+    """Return walks in which ranges through the wall, and no others, are 3 m too long; nothing else tells them."""
+    examples = walked(seed)
+    distances = torch.cdist(examples.labels, torch.tensor(CORNERS, dtype=torch.float64))
+    walled = behind_walls(divided(1.0), np.array(CORNERS), examples.labels[:, :, None].numpy())
+    ranges = distances + EXCESS_M * torch.from_numpy(walled)
+    alike = torch.full_like(distances, -60.0)
+    return replace(
+        examples, plan=divided(1.0), intervals=replace(examples.intervals, ranges=ranges, rss=alike)
+    )
+
+
+def test_the_plan_tells_which_ranges_come_through_walls() -> None:
+    method, examples = LearnedGrid(SETTINGS).fitted([walled_walks(1)]), walled_walks(2)
+    squares = {
+        name: followed(ready, examples)[0][20:].square().mean()
+        for name, ready in (("none", method), ("real", method.for_plan(divided(1.0))))
+    }
+    assert squares["real"] < 0.8 * squares["none"]
+
+
+def test_of_walls_that_no_source_has_nothing_is_said() -> None:
+    networks = learned().networks
+    assert [network.sights for network in networks] == [1] * len(VIEWS)
+    networks = LearnedGrid(SETTINGS).fitted([walled_walks(1)]).networks
+    assert [network.sights for network in networks] == [view.sights for view in VIEWS]
+    made = interval(torch.tensor([[2.0, 2.5]], dtype=torch.float64))
+    through, open_ = (learned().for_plan(plan) for plan in (divided(1.0), OPEN))
+    one, other = (method.step(method.init(SITE, 1), made)[1] for method in (through, open_))
+    assert (one.positions - other.positions).norm() < 0.1
+
+
+def test_a_source_without_a_plan_is_named() -> None:
+    with pytest.raises(FplocError, match="floor plan of box: found none, expected a plan with walls"):
+        LearnedGrid(SETTINGS).fitted([replace(walked(1), plan=None)])
 
 
 def test_a_speed_is_taken() -> None:

@@ -47,3 +47,22 @@ def test_inputs_are_scaled_by_weighted_moments() -> None:
     network.scale_by(features, torch.tensor([3.0, 1.0], dtype=torch.float64))
     torch.testing.assert_close(network.means, torch.tensor([1.5, 2.0], dtype=torch.float64))
     torch.testing.assert_close(network.deviations, torch.tensor([0.75**0.5, 1e-2], dtype=torch.float64))
+
+
+def test_sights_have_a_density_each_and_one_mixture_where_nobody_knows() -> None:
+    torch.manual_seed(0)
+    network = RangeErrorNetwork((0,), 2, hidden=8, dropout=0.0).eval()
+    network.expect(torch.tensor([0, 1, 1]), torch.tensor([1.0, 1.0, 2.0], dtype=torch.float64))
+    errors_m = torch.linspace(-5.0, 9.0, 50, dtype=torch.float64)
+    found = log_density(network(torch.zeros(1, 1).double()), errors_m)
+    assert found.shape == (1, 2, 50) and not torch.allclose(found[:, 0], found[:, 1])
+    mixed = 0.25 * found[0, 0].exp() + 0.75 * found[0, 1].exp()
+    torch.testing.assert_close(network.wherever(found)[0, 0].exp(), mixed)
+
+
+def test_to_a_network_that_is_not_told_all_sights_are_one() -> None:
+    network = RangeErrorNetwork((0,), 1, hidden=8, dropout=0.0)
+    sights = torch.tensor([0, 1, 1])
+    assert network.told_apart(sights).tolist() == [0, 0, 0]
+    network.expect(sights, torch.ones(3, dtype=torch.float64))
+    assert network.shares.tolist() == [1.0]
