@@ -184,7 +184,7 @@ class LearnedGridFilter:
         self.networks = tuple(networks)
         self._plan = plan
         self._coarse = CoarseBelief(settings.coarse)
-        self._errors_m = table_errors_m()
+        self._errors_m = table_errors_m().float()
         self._grids: dict[Site, BeliefGrid] = {}
 
     def for_speed(self, speed_prior_mps: float) -> LearnedGridFilter:
@@ -266,7 +266,8 @@ class LearnedGridFilter:
     def _log_likelihoods(self, heard: Heard) -> Tensor:
         """Return the pooled log-likelihood of the interval, shape (B, C)."""
         links = heard.features.flatten(0, 1)
-        raw = [network(links) for network in self.networks]
+        # Tables are no finer than the beliefs that they weigh.
+        raw = [network(links).float() for network in self.networks]
         learned = [self._learned(*one) for one in zip(self.networks, raw, strict=True)]
         share = self.settings.learned_share
         left = self._left(self._errors_m - modes_m(raw[-1])).log()
