@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from fploc.errors import FplocError
-from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.sight import behind_walls
 from fploc.intervals import Estimate, Intervals, NoFix
@@ -78,10 +77,9 @@ def followed(method: LearnedGridFilter, examples: Examples) -> tuple[torch.Tenso
 
 def walled_plan(blocked_from_x_m: float) -> FloorPlan:
     """Return a plan of the box and 2 m around it, solid on the right of a line."""
-    walls = np.zeros((100, 120), dtype=bool)
+    walls = OPEN.walls.copy()
     walls[:, round((blocked_from_x_m + 2) * 10) :] = True
-    grey = np.where(walls, 0, 255).astype(np.uint8)
-    return FloorPlan("box", grey, walls, Georeference.of_raster([-2.0, 8.0], 0.1))
+    return replace(OPEN, walls=walls)
 
 
 def test_it_learns_from_sources_filters_itself_and_reads_plans() -> None:
