@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import multiprocessing
 import os
 import signal
@@ -28,6 +29,8 @@ from fploc.progress import hush_imports, is_shown
 
 PATIENCE_S = 10.0
 """How long an interrupted process may take to clean up."""
+POLL_S = 0.05
+"""How often it is looked whether one has ended."""
 
 RunByName = Callable[[str], None]
 """Runs the stage of a name in another process: it can be pickled."""
@@ -217,8 +220,10 @@ def _has_failed(future: Future[float]) -> bool:
 def _timed(run_by_name: RunByName, name: str) -> float:
     signal.signal(signal.SIGINT, _interrupt_once)
     started = time.perf_counter()
-    run_by_name(name)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        run_by_name(name)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return time.perf_counter() - started
 
 
@@ -241,16 +246,23 @@ def _interrupt_once(number: int, frame: FrameType | None) -> None:
 
 def _interrupt_children() -> None:
     """Stop the processes of this one, first as a person would."""
-    children = multiprocessing.active_children()
-    for child in children:
+    for child in multiprocessing.active_children():
         if child.pid is not None:
             os.kill(child.pid, signal.SIGINT)
-    until = time.monotonic() + PATIENCE_S
-    for child in children:
-        child.join(max(0.0, until - time.monotonic()))
-        if child.is_alive():
+    if not _children_end_within(PATIENCE_S):
+        for child in multiprocessing.active_children():
             child.terminate()
-            child.join()
+        _children_end_within(math.inf)
+
+
+def _children_end_within(seconds: float) -> bool:
+    """Wait for all processes of this one; asked for anew, since their pool waits for them, too, and may be first."""
+    until = time.monotonic() + seconds
+    while children := multiprocessing.active_children():
+        if time.monotonic() > until:
+            return False
+        children[0].join(POLL_S)
+    return True
 
 
 def _say(text: str) -> None:

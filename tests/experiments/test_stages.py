@@ -158,7 +158,7 @@ def test_independent_stages_run_at_the_same_time_in_processes_of_their_own(work:
 
 
 def test_a_failure_stops_all_is_told_as_it_was_and_leaves_the_finished_ones(
-    work: Any, tmp_path: Path
+    work: Any, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     began = time.monotonic()
     with pytest.raises(UnknownNameError) as failed:
@@ -171,6 +171,7 @@ def test_a_failure_stops_all_is_told_as_it_was_and_leaves_the_finished_ones(
     left = StageBook(tmp_path / "book").left(work.failing(tmp_path))
     assert [one.name for one in left] == ["slow", "bad", "later"]
     assert multiprocessing.active_children() == []
+    assert "KeyboardInterrupt" not in capfd.readouterr().err, "who has failed already is not interrupted"
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
