@@ -136,13 +136,13 @@ def table_errors_m() -> Tensor:
     return LOWEST_ERROR_M + ERROR_STEP_M * (torch.arange(ERRORS, dtype=torch.float64) + 0.5)
 
 
-def forgiving(errors_m: Tensor, *, short_m: float, long_m: float, floor: float) -> Tensor:
+def forgiving(errors_m: Tensor, *, short_m: float, long_m: float | Tensor, floor: float) -> Tensor:
     """Return a density of errors, beside that of its mode 0: walls lengthen ranges, nothing shortens them.
 
     Args:
         errors_m: Range minus distance, metres.
         short_m: Decay below 0, metres.
-        long_m: Decay above 0, metres.
+        long_m: Decay above 0, metres; one number, or a shape that broadcasts against errors.
         floor: What neither explains.
     """
     return torch.exp(-torch.maximum(errors_m / long_m, -errors_m / short_m)) + floor

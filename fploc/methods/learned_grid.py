@@ -8,10 +8,11 @@ but distributions. At every interval
    side, probability of an outlier. Each is shown something else of the link
    (``fploc.methods.link_evidence.VIEWS``), and all but the last one say it twice: for a clear line, and for walls
    between;
-3. the belief is moved as people move (``fploc.methods.walk``), and multiplied by the product over links of
-   p_learned^share · p_left^(1 − share). p_learned pools the networks, and the plan says for every cell which of the
-   two it is; p_left is of what the last one's bias leaves of the error, and takes all that is still too long with a
-   shrug: what was learned elsewhere corrects, it does not rule.
+3. the belief is moved as people move (``fploc.methods.walk``), and multiplied by the product over links of a density
+   ∝ p_learned^share · p_left^(1 − share), of which there are two, and the plan says for every cell which it is.
+   p_learned pools the networks; p_left is of what the last one's bias leaves of the error, and takes all that is
+   still too long with a shrug. On clear lines errors are much alike everywhere; walls differ, and behind them little
+   of what was learned elsewhere is believed.
 
 Likelihoods are tempered, since errors of a place repeat as long as one is there: the faster somebody walks, the
 more an interval says that is new. The plan weighs cells, too: nobody stands in a wall. The networks learn from
@@ -55,6 +56,19 @@ NAME = "learned-grid"
 
 
 @dataclass(frozen=True)
+class Trust:
+    """How far ranges of a kind of sight are believed to be wrong as they were elsewhere.
+
+    Args:
+        learned_share: Power of the learned density beside that of what a bias leaves, 0 to 1.
+        left_long_m: Decay of the density of what a bias leaves above 0, metres.
+    """
+
+    learned_share: float
+    left_long_m: float
+
+
+@dataclass(frozen=True)
 class LearnedGridSettings:
     """Settings of the method: conf/method/learned-grid.yaml.
 
@@ -62,9 +76,9 @@ class LearnedGridSettings:
         coarse: Of the grid, of the walk and of the coarse belief.
         lessons: Of the network and its training.
         blocked: How likely a cell is that nobody can stand on, beside a free one: drawings lie.
-        learned_share: Power of the learned likelihood beside that of what a bias leaves, 0 to 1.
+        clear: How far the networks are trusted on clear lines.
+        walled: How far they are behind walls.
         left_short_m: Decay of the density of what a bias leaves below 0, metres.
-        left_long_m: Decay of that density above 0, metres.
         correlation_s: For so long errors of ranges are taken for one error on the spot.
         correlation_m: Over so many metres of a walk they are, too.
         survey_m: Standard deviation per axis of what no belief can know, metres: the frame of access points
@@ -75,9 +89,9 @@ class LearnedGridSettings:
     coarse: CoarseSettings
     lessons: LessonSettings
     blocked: float
-    learned_share: float
+    clear: Trust
+    walled: Trust
     left_short_m: float
-    left_long_m: float
     correlation_s: float
     correlation_m: float
     survey_m: float
@@ -185,6 +199,9 @@ class LearnedGridFilter:
         self._plan = plan
         self._coarse = CoarseBelief(settings.coarse)
         self._errors_m = table_errors_m().float()
+        trusts = (settings.clear, settings.walled)
+        self._shares = torch.tensor([one.learned_share for one in trusts])
+        self._long_m = torch.tensor([one.left_long_m for one in trusts])
         self._grids: dict[Site, BeliefGrid] = {}
 
     def for_speed(self, speed_prior_mps: float) -> LearnedGridFilter:
@@ -267,25 +284,29 @@ class LearnedGridFilter:
         """Return the pooled log-likelihood of the interval, shape (B, C)."""
         links = heard.features.flatten(0, 1)
         # Tables are no finer than the beliefs that they weigh.
-        raw = [network(links).float() for network in self.networks]
-        learned = [self._learned(*one) for one in zip(self.networks, raw, strict=True)]
-        share = self.settings.learned_share
-        left = self._left(self._errors_m - modes_m(raw[-1])).log()
-        tables = share / len(learned) * sum(learned) + (1 - share) * left
+        tables = self._densities([network(links).float() for network in self.networks])
+        if self._plan is None:
+            tables = self.networks[0].wherever(tables)
         tables = nn.functional.pad(tables, (0, 1)).expand(-1, SIGHTS, -1)
         bins = heard.error_bins
         rows = SIGHTS * torch.arange(len(tables), dtype=torch.int32).view(*bins.shape[:2], 1)
         at = bins + (rows + heard.moved.window.walled) * (SILENT + 1)
         return tables.flatten().index_select(0, at.flatten()).view(bins.shape).sum(1)
 
-    def _learned(self, network: RangeErrorNetwork, raw: Tensor) -> Tensor:
-        """Return the logarithm of what a network says of errors, shape (n, S, Q) or (n, 1, Q)."""
-        found = log_density(raw, self._errors_m)
-        return found if self._plan is not None else network.wherever(found)
+    def _densities(self, raw: Sequence[Tensor]) -> Tensor:
+        """Return the logarithm of the density of errors for each kind of sight, shape (n, S, Q), scaled to sum 1.
+
+        Args:
+            raw: Parameters that each network gives, shape (n, S, 4) or (n, 1, 4).
+        """
+        learned = sum(log_density(one, self._errors_m) for one in raw) / len(raw)
+        left = self._left(self._errors_m - modes_m(raw[-1])).log()
+        shares = self._shares[:, None]
+        return (shares * learned + (1 - shares) * left).log_softmax(-1)
 
     def _left(self, errors_m: Tensor) -> Tensor:
-        """Return the density of what a bias leaves of errors, beside that of its mode."""
+        """Return the density of what a bias leaves of errors, beside that of its mode, shape (n, S, Q)."""
         settings = self.settings
         return forgiving(
-            errors_m, short_m=settings.left_short_m, long_m=settings.left_long_m, floor=settings.coarse.floor
+            errors_m, short_m=settings.left_short_m, long_m=self._long_m[:, None], floor=settings.coarse.floor
         )

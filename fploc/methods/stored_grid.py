@@ -8,7 +8,7 @@ from dataclasses import asdict
 from fploc.artifacts import Artifact, ArtifactKey
 from fploc.calibration.offsets import RangeOffsets
 from fploc.methods.coarse_belief import CoarseSettings
-from fploc.methods.learned_grid import LearnedGridFilter, LearnedGridSettings
+from fploc.methods.learned_grid import LearnedGridFilter, LearnedGridSettings, Trust
 from fploc.methods.range_lessons import LessonSettings
 from fploc.methods.walk import WalkSettings
 from fploc.models.range_error import RangeErrorNetwork
@@ -78,6 +78,8 @@ def restored(artifact: Artifact) -> LearnedGridFilter:
             **kept,
             "coarse": CoarseSettings(**{**coarse, "walk": WalkSettings(**coarse["walk"])}),
             "lessons": LessonSettings(**kept["lessons"]),
+            "clear": Trust(**kept["clear"]),
+            "walled": Trust(**kept["walled"]),
         }
     )
     networks = [one for one in artifact.networks.values() if isinstance(one, RangeErrorNetwork)]

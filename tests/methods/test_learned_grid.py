@@ -108,9 +108,15 @@ def test_what_was_learned_beats_the_coarse_belief_on_a_walk_not_seen() -> None:
     assert errors[20:].square().mean() < 0.8 * coarse[20:].square().mean()
 
 
+def untrusting() -> LearnedGridSettings:
+    """Return settings of a method that trusts nothing but the bias of its last network."""
+    clear, walled = (replace(one, learned_share=0.0) for one in (SETTINGS.clear, SETTINGS.walled))
+    return replace(SETTINGS, clear=clear, walled=walled)
+
+
 def test_what_a_bias_leaves_is_forgiven_where_a_range_is_too_long() -> None:
     """Of one link's error, 2 m more cost less than 2 m less."""
-    method = LearnedGridFilter(replace(SETTINGS, learned_share=0.0), learned().networks)
+    method = LearnedGridFilter(untrusting(), learned().networks)
     place = torch.tensor([[3.0, 2.0]], dtype=torch.float64)
     found = {}
     for excess_m in (-2.0, 0.0, 2.0):
@@ -273,9 +279,28 @@ def test_of_walls_that_no_source_has_nothing_is_said() -> None:
     networks = LearnedGrid(SETTINGS).fitted([walled_walks(1)]).networks
     assert [network.sights for network in networks] == [view.sights for view in VIEWS]
     made = interval(torch.tensor([[2.0, 2.5]], dtype=torch.float64))
-    through, open_ = (learned().for_plan(plan) for plan in (divided(1.0), OPEN))
+    alike = LearnedGridFilter(replace(SETTINGS, walled=SETTINGS.clear), learned().networks)
+    through, open_ = (alike.for_plan(plan) for plan in (divided(1.0), OPEN))
     one, other = (method.step(method.init(SITE, 1), made)[1] for method in (through, open_))
     assert (one.positions - other.positions).norm() < 0.1
+
+
+def test_behind_walls_a_range_that_is_too_long_moves_less() -> None:
+    """Of three ranges one comes from beyond the wall."""
+    place = torch.tensor([[2.0, 2.5]], dtype=torch.float64)
+    heard = torch.tensor([[True, False, True, True, False]])
+    moved_m = []
+    for plan in (divided(1.0), OPEN):
+        method = learned().for_plan(plan)
+        found = []
+        for excess_m in (0.0, 2.0):
+            made = interval(place, torch.tensor([[0.0, 0.0, excess_m, 0.0, 0.0]], dtype=torch.float64))
+            # The signal strength says nothing of it.
+            made = replace(made, rss=interval(place).rss, heard=heard)
+            found.append(method.step(method.init(SITE, 1), made)[1].positions[0])
+        moved_m.append((found[1] - found[0]).norm())
+    through, open_ = moved_m
+    assert through < 0.7 * open_
 
 
 def test_a_source_without_a_plan_is_named() -> None:
