@@ -200,8 +200,8 @@ class LearnedGridFilter:
         self._coarse = CoarseBelief(settings.coarse)
         self._errors_m = table_errors_m().float()
         trusts = (settings.clear, settings.walled)
-        self._shares = torch.tensor([one.learned_share for one in trusts])
-        self._long_m = torch.tensor([one.left_long_m for one in trusts])
+        self._learned_shares = torch.tensor([one.learned_share for one in trusts])
+        self._left_long_m = torch.tensor([one.left_long_m for one in trusts])
         self._grids: dict[Site, BeliefGrid] = {}
 
     def for_speed(self, speed_prior_mps: float) -> LearnedGridFilter:
@@ -301,12 +301,15 @@ class LearnedGridFilter:
         """
         learned = sum(log_density(one, self._errors_m) for one in raw) / len(raw)
         left = self._left(self._errors_m - modes_m(raw[-1])).log()
-        shares = self._shares[:, None]
+        shares = self._learned_shares[:, None]
         return (shares * learned + (1 - shares) * left).log_softmax(-1)
 
     def _left(self, errors_m: Tensor) -> Tensor:
         """Return the density of what a bias leaves of errors, beside that of its mode, shape (n, S, Q)."""
         settings = self.settings
         return forgiving(
-            errors_m, short_m=settings.left_short_m, long_m=self._long_m[:, None], floor=settings.coarse.floor
+            errors_m,
+            short_m=settings.left_short_m,
+            long_m=self._left_long_m[:, None],
+            floor=settings.coarse.floor,
         )

@@ -85,7 +85,9 @@ class RangeErrorNetwork(nn.Module):
         return raw.unflatten(1, (self.sights, 4))
 
     def wherever(self, log_densities: Tensor) -> Tensor:
-        """Return the logarithm of densities, shape (n, 1, Q), where nobody knows the sight.
+        """Return the logarithm of densities, shape (n, 1, Q), but for a constant, where nobody knows the sight.
+
+        Kinds of sight are mixed as often as they were met in training, evenly by a network that has met one alone.
 
         Args:
             log_densities: Of each kind of sight, shape (n, S, Q).
