@@ -22,7 +22,8 @@ from fploc.datasets.source_files import REVISIONS, SourceFile, blob_sha1
 from fploc.errors import DownloadError, FplocError, HashMismatchError
 
 REVISION = "2b19c6c"
-QUICK = Patience(connect_s=0.5, read_s=2.0, attempts=3, backoff_s=0.01)
+QUICK = Patience(connect_s=10.0, read_s=10.0, attempts=3, backoff_s=0.01)
+"""Quick to try again; a busy machine may still take its time to answer."""
 CONTENTS = bytes(range(256)) * 2000
 
 
