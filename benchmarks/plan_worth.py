@@ -25,7 +25,7 @@ from fploc.experiments.scoring import chosen_plan
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
 from fploc.localizer import localize
-from fploc.methods.learned_grid import LearnedGridFilter, LearnedGridSettings
+from fploc.methods.learned_grid import LearnedGridFilter
 from fploc.methods.stored_grid import restored
 from fploc.progress import print_table
 from fploc.shipped import SOURCE_ONLY, shipped_artifact
@@ -83,8 +83,8 @@ def parts_taken(method: LearnedGridFilter, plan: FloorPlan) -> dict[str, Learned
     walk = replace(settings.coarse.walk, walking_share=0.0)
     dawdling = replace(settings, coarse=replace(settings.coarse, walk=walk))
     changed: Mapping[str, LearnedGridFilter] = {
-        "forgiving likelihood alone": LearnedGridFilter(sharing(settings, 0.0), method.networks),
-        "learned likelihood alone": LearnedGridFilter(sharing(settings, 1.0), method.networks),
+        "forgiving likelihood alone": LearnedGridFilter(settings.sharing(0.0), method.networks),
+        "learned likelihood alone": LearnedGridFilter(settings.sharing(1.0), method.networks),
         "walls trusted like clear lines": LearnedGridFilter(
             replace(settings, walled=settings.clear), method.networks
         ),
@@ -98,12 +98,6 @@ def parts_taken(method: LearnedGridFilter, plan: FloorPlan) -> dict[str, Learned
         "nothing tempered": LearnedGridFilter(replace(settings, correlation_s=1e-3), method.networks),
     }
     return {name: one.for_plan(plan) for name, one in changed.items()}
-
-
-def sharing(settings: LearnedGridSettings, learned_share: float) -> LearnedGridSettings:
-    """Return settings with this share of the learned density, whatever the sight."""
-    clear, walled = (replace(one, learned_share=learned_share) for one in (settings.clear, settings.walled))
-    return replace(settings, clear=clear, walled=walled)
 
 
 def resurveyed(site: Site, seed: int) -> Site:

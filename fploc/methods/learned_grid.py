@@ -102,6 +102,11 @@ class LearnedGridSettings:
         """Return the settings in conf/method/learned-grid.yaml."""
         return instantiate(cls, read_conf("method", NAME), source=f"conf/method/{NAME}.yaml")
 
+    def sharing(self, learned_share: float) -> LearnedGridSettings:
+        """Return the same with this share of what was learned, whatever the sight."""
+        clear, walled = (replace(one, learned_share=learned_share) for one in (self.clear, self.walled))
+        return replace(self, clear=clear, walled=walled)
+
 
 class LearnedGrid:
     """Learns how wrong ranges of source sites are.

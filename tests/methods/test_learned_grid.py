@@ -108,21 +108,19 @@ def test_what_was_learned_beats_the_coarse_belief_on_a_walk_not_seen() -> None:
     assert errors[20:].square().mean() < 0.8 * coarse[20:].square().mean()
 
 
-def untrusting() -> LearnedGridSettings:
-    """Return settings of a method that trusts nothing but the bias of its last network."""
-    clear, walled = (replace(one, learned_share=0.0) for one in (SETTINGS.clear, SETTINGS.walled))
-    return replace(SETTINGS, clear=clear, walled=walled)
+def third_too_long(place: torch.Tensor, excess_m: float) -> Intervals:
+    """Return what is heard at a place, one range too long; its signal strength says nothing of it."""
+    made = interval(place, torch.tensor([[0.0, 0.0, excess_m, 0.0, 0.0]], dtype=torch.float64))
+    return replace(made, rss=interval(place).rss)
 
 
 def test_what_a_bias_leaves_is_forgiven_where_a_range_is_too_long() -> None:
     """Of one link's error, 2 m more cost less than 2 m less."""
-    method = LearnedGridFilter(untrusting(), learned().networks)
+    method = LearnedGridFilter(SETTINGS.sharing(0.0), learned().networks)
     place = torch.tensor([[3.0, 2.0]], dtype=torch.float64)
     found = {}
     for excess_m in (-2.0, 0.0, 2.0):
-        made = interval(place, torch.tensor([[0.0, 0.0, excess_m, 0.0, 0.0]], dtype=torch.float64))
-        # The signal strength says nothing of it.
-        made = replace(made, rss=interval(place).rss)
+        made = third_too_long(place, excess_m)
         found[excess_m] = method.step(method.init(SITE, 1), made)[1].positions[0]
     shorter, longer = ((found[one] - found[0.0]).norm() for one in (-2.0, 2.0))
     assert longer < 0.5 * shorter
@@ -294,9 +292,7 @@ def test_behind_walls_a_range_that_is_too_long_moves_less() -> None:
         method = learned().for_plan(plan)
         found = []
         for excess_m in (0.0, 2.0):
-            made = interval(place, torch.tensor([[0.0, 0.0, excess_m, 0.0, 0.0]], dtype=torch.float64))
-            # The signal strength says nothing of it.
-            made = replace(made, rss=interval(place).rss, heard=heard)
+            made = replace(third_too_long(place, excess_m), heard=heard)
             found.append(method.step(method.init(SITE, 1), made)[1].positions[0])
         moved_m.append((found[1] - found[0]).norm())
     through, open_ = moved_m
