@@ -70,12 +70,16 @@ class PairedLap:
         return PairedLap(self.name, (first, second), self.link.thinned(every))
 
     def shifted(self, *, link_s: float = 0.0, second_s: float = 0.0) -> PairedLap:
-        """Return the lap with the clocks of the link and of device 2 set forward, seconds."""
+        """Return the lap with the clocks of the link and of device 2 set forward, seconds.
+
+        No device's time is below 0: where device 2 is set back, everything else is set forward.
+        """
         first, second = self.devices
+        ahead_s = max(0.0, -second_s)
         return PairedLap(
             self.name,
-            (first, replace(second, t_s=second.t_s + second_s)),
-            replace(self.link, t_s=self.link.t_s + link_s),
+            (replace(first, t_s=first.t_s + ahead_s), replace(second, t_s=second.t_s + second_s + ahead_s)),
+            replace(self.link, t_s=self.link.t_s + link_s + ahead_s),
         )
 
 
