@@ -12,8 +12,10 @@ from enum import IntEnum
 import torch
 from torch import Tensor
 
-FARTHEST_RANGE_M = 60.0
-"""Ranges beyond it are faults of the phones (docs/data.md): networks neither learn from them nor use them."""
+RSS_AT_1_M_DBM = -40.0
+"""About what access points are received with at 1 m."""
+REGION_95 = 5.991464547107979
+"""95 % quantile of χ² with two degrees of freedom."""
 
 
 class NoFix(IntEnum):
@@ -52,7 +54,8 @@ class Intervals:
         t_s: Device time, shape (B,), seconds.
         ranges: Calibrated range in the plan, shape (B, A), metres; 0 where ``heard`` is False.
         stds: The phone's own spread of each range, shape (B, A), metres; 0 where unknown.
-        rss: Received signal strength, shape (B, A), dBm; 0 where ``heard`` is False.
+        rss: Received signal strength, shape (B, A), dBm; where unknown, the usual one of such a range; 0 where
+            ``heard`` is False.
         heard: True where the access point answered with a range, shape (B, A).
         present: True where the device has an interval at this step, shape (B,): shorter recordings
             end before longer ones. Absent devices keep their state.
@@ -100,6 +103,11 @@ class Intervals:
             present=self.present.to(device),
             links=None if self.links is None else self.links.to(device),
         )
+
+
+def usual_rss(ranges: Tensor) -> Tensor:
+    """Return the signal strength in free space at ranges of any shape, metres; dBm."""
+    return RSS_AT_1_M_DBM - 20.0 * torch.log10(ranges.clamp(min=1.0))
 
 
 @dataclass(frozen=True)

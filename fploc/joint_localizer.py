@@ -1,6 +1,6 @@
 """Two devices at once: each is located with the other, and the range between them, beside it.
 
-Both are located alone first. At each interval of a device the other's latest interval, its latest smoothed fix and
+Both are located alone first. At each interval of a device the other's latest interval, its latest filtered fix and
 the latest reading of the link stand beside it, none older than a stated age; the link's offset is a state that
 is learned from the fixes so far (``fploc.calibration.link_offset``). What a method makes of them:
 
@@ -31,17 +31,17 @@ from torch import Tensor
 
 from fploc.calibration.link_offset import LinkOffsets, LinkOffsetSettings, running_link_offsets
 from fploc.calibration.offsets import RangeOffsets
+from fploc.calibration.ranges import recorded_intervals
 from fploc.conf import instantiate, read_conf
 from fploc.datasets.paired import LinkReadings, latest_before
-from fploc.datasets.recordings import Bools, Floats, Recording, pad
+from fploc.datasets.recordings import Bools, Floats, Recording
 from fploc.filters.kalman import BatchedFilter, KalmanSettings
 from fploc.filters.range_update import RangedFilter, Ranges
-from fploc.intervals import FARTHEST_RANGE_M, DeviceLinks, Estimate, Intervals, NoFix, stacked
+from fploc.intervals import DeviceLinks, Estimate, Intervals, NoFix, stacked
 from fploc.localizer import (
     ROWS_AT_ONCE,
     Path,
     Track,
-    all_intervals,
     chunks,
     flat,
     joined,
@@ -53,6 +53,7 @@ from fploc.methods.gnn_fpdnn import GNNFPDNN
 from fploc.methods.interface import Method
 from fploc.methods.one_shot import OneShotMethod
 from fploc.models.fpdnn import RSS_CENTRE_DBM
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 from fploc.solvers.losses import Loss
 
@@ -108,7 +109,7 @@ class Company:
         ranges_m: Of the link without its offset, shape (T,), metres.
         variances_m2: Of these, shape (T,), square metres.
         rss_dbm: Of the link, shape (T,), dBm.
-        positions_m: Latest smoothed fix of the other device, shape (T, 2), metres, site frame; 0 where none.
+        positions_m: Latest filtered fix of the other device, shape (T, 2), metres, site frame; 0 where none.
         covariances_m2: Of these, shape (T, 2, 2), square metres; 0 where none.
         is_placed: True where it is young enough and linked, shape (T,).
     """
@@ -123,7 +124,7 @@ class Company:
     is_placed: Bools
 
 
-def smoothed(track: Track) -> Path:
+def filtered_path(track: Track) -> Path:
     """Return the filtered path of a track, or its own where no filter was asked for."""
     return track.unfiltered if track.filtered is None else track.filtered
 
@@ -143,7 +144,7 @@ def link_offsets(beside: Beside, *, prior_m: float, settings: DeviceLinkSettings
         is_fresh & track.unfiltered.fixed[index]
         for track, (index, is_fresh) in zip(tracks, found, strict=True)
     ]
-    first, second = (smoothed(track) for track in tracks)
+    first, second = (filtered_path(track) for track in tracks)
     return running_link_offsets(
         link.t_s,
         link.ranges_m,
@@ -163,7 +164,7 @@ def company(beside: Beside, *, prior_m: float, settings: DeviceLinkSettings) -> 
     other, has_other = latest_before(beside.other.t_s, times, settings.oldest_s)
     is_linked = has_reading & has_other
     ranges_m = np.maximum(beside.link.ranges_m[reading] - offsets.means_m[reading + 1], 0.0)
-    path = smoothed(beside.other)
+    path = filtered_path(beside.other)
     fixes = np.flatnonzero(path.fixed)
     latest, is_young = latest_before(beside.other.t_s[fixes], times, settings.oldest_s)
     is_placed = is_linked & is_young
@@ -294,7 +295,7 @@ class _Batch:
     ) -> _Batch:
         """Return the batch of some devices."""
         own, others = (
-            all_intervals(pad(recordings), site, offsets, torch.device("cpu"))
+            recorded_intervals(recordings, site, offsets)
             for recordings in (
                 [pair.own.recording for pair in pairs],
                 [pair.other.recording for pair in pairs],
@@ -451,14 +452,14 @@ def _gnn_fpdnn(method: GNNFPDNN, site: Site, batch: _Batch, settings: DeviceLink
     rows, access_points = flat(batch.own), method.coarse.init(site, devices)
     refined = []
     for at in chunks(steps * devices, method.rows_at_once(len(site.access_points))):
-        smooth = Estimate(
+        filtered = Estimate(
             coarse.positions.flatten(0, 1)[at],
             coarse.covariances.flatten(0, 1)[at],
             coarse.reasons.flatten()[at],
         )
         refined.append(
             method.refine_beside(
-                access_points, rows.at(at), smooth, batch.companion.at(at), loss=settings.loss
+                access_points, rows.at(at), filtered, batch.companion.at(at), loss=settings.loss
             )
         )
     return joined(refined, steps, devices)

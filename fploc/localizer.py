@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fploc.calibration.offsets import RangeOffsets
-from fploc.calibration.ranges import plan_ranges
-from fploc.datasets.recordings import PaddedRecordings, Recording, pad
+from fploc.calibration.ranges import calibrated_intervals, recorded_intervals
+from fploc.datasets.recordings import Recording
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.filters.smoother import smoothed
 from fploc.intervals import Estimate, Intervals, NoFix, stacked
@@ -99,7 +99,6 @@ class Localizer:
         site: Where the devices are.
         offsets: Subtracted from slant ranges.
         filter_settings: Of the Kalman filter; None for the method's fixes alone.
-        device: Where torch computes.
     """
 
     def __init__(
@@ -108,27 +107,39 @@ class Localizer:
         site: Site,
         offsets: RangeOffsets,
         filter_settings: KalmanSettings | None = None,
-        *,
-        device: torch.device | str = "cpu",
     ) -> None:
         self.method = method
         self.site = site
         self.offsets = offsets
         self.filter = None if filter_settings is None else BatchedFilter(filter_settings)
-        self.device = torch.device(device)
 
     def with_method(self, method: Method) -> Localizer:
         """Return a localizer of another method at the same site, without a filter behind it."""
-        return Localizer(method, self.site, self.offsets, device=self.device)
+        return Localizer(method, self.site, self.offsets)
 
     def init(self, devices: int) -> LocalizerState:
         """Return the state of ``devices`` devices before their first interval."""
-        tracks = None if self.filter is None else self.filter.init(devices, device=self.device)
+        tracks = None if self.filter is None else self.filter.init(devices)
         return LocalizerState(self.method.init(self.site, devices), tracks)
 
-    def calibrated(self, slant_m: Tensor, heard: Tensor) -> Tensor:
-        """Return ranges in the plan without their offset, shape (…, A), metres; 0 where not heard."""
-        return calibrated_ranges(slant_m, heard, self.site, self.offsets)
+    def calibrated(self, t_s: Tensor, slant_m: Tensor, stds_m: Tensor, rss_dbm: Tensor) -> Intervals:
+        """Return what devices report, all of them present, as intervals.
+
+        Args:
+            t_s: Device time, shape (B,), seconds.
+            slant_m: Slant ranges, shape (B, A), metres; 0 where there is none.
+            stds_m: Spread of each, shape (B, A), metres; 0 where unknown.
+            rss_dbm: Received signal strength, shape (B, A), dBm; 0 where unknown.
+        """
+        return calibrated_intervals(
+            self.site,
+            self.offsets,
+            t_s=t_s,
+            slant_m=slant_m,
+            stds_m=stds_m,
+            rss_dbm=rss_dbm,
+            present=torch.ones(len(t_s), dtype=torch.bool),
+        )
 
     def advance(self, state: LocalizerState, intervals: Intervals) -> tuple[LocalizerState, Estimate]:
         """Advance every device that is present by one interval.
@@ -141,14 +152,14 @@ class Localizer:
             The new state and the estimate, filtered where there is a filter.
         """
         state, found = self.locate(state, intervals)
-        return self.smooth(state, intervals, found)
+        return self.filtered(state, intervals, found)
 
     def locate(self, state: LocalizerState, intervals: Intervals) -> tuple[LocalizerState, Estimate]:
         """Advance the method alone."""
         method_state, found = self.method.step(state.method, intervals)
         return replace(state, method=method_state), found
 
-    def smooth(
+    def filtered(
         self, state: LocalizerState, intervals: Intervals, found: Estimate
     ) -> tuple[LocalizerState, Estimate]:
         """Advance the filter alone by what the method found; without a filter that is the estimate."""
@@ -164,8 +175,6 @@ def localize(
     recordings: Sequence[Recording],
     offsets: RangeOffsets,
     filter_settings: KalmanSettings | None,
-    *,
-    device: torch.device | str = "cpu",
 ) -> list[Track]:
     """Run a method over recordings, all at once and each from a fresh state.
 
@@ -175,13 +184,13 @@ def localize(
         recordings: At least one.
         offsets: Range offsets to remove.
         filter_settings: Of the Kalman filter on the method's fixes; None for none.
-        device: Where torch computes.
 
     Returns:
         One track for each recording, in their order.
     """
-    localizer = Localizer(method, site, offsets, filter_settings, device=device)
-    intervals, count = _laid_out(localizer, recordings)
+    localizer = Localizer(method, site, offsets, filter_settings)
+    intervals = recorded_intervals(recordings, site, offsets)
+    count = int(intervals.present.sum())
     with torch.inference_mode():
         started = time.perf_counter()
         found = _locate(localizer, intervals)
@@ -209,8 +218,6 @@ def localize_offline(
     recordings: Sequence[Recording],
     offsets: RangeOffsets,
     filter_settings: KalmanSettings,
-    *,
-    device: torch.device | str = "cpu",
 ) -> list[Track]:
     """Run a method over recordings whose ends are known: every position is smoothed by what came after it.
 
@@ -219,9 +226,10 @@ def localize_offline(
 
     Arguments are those of ``localize``.
     """
-    localizer = Localizer(method, site, offsets, filter_settings, device=device)
+    localizer = Localizer(method, site, offsets, filter_settings)
     assert localizer.filter is not None
-    intervals, count = _laid_out(localizer, recordings)
+    intervals = recorded_intervals(recordings, site, offsets)
+    count = int(intervals.present.sum())
     with torch.inference_mode():
         started = time.perf_counter()
         if isinstance(method, Smoothing):
@@ -241,43 +249,10 @@ def localize_offline(
     ]
 
 
-def _laid_out(localizer: Localizer, recordings: Sequence[Recording]) -> tuple[Intervals, int]:
-    """Return the calibrated intervals of recordings, (T, B, …), and how many there are."""
-    padded = pad(recordings)
-    intervals = all_intervals(padded, localizer.site, localizer.offsets, localizer.device)
-    return intervals, int(padded.present.sum())
-
-
-def calibrated_ranges(slant_m: Tensor, heard: Tensor, site: Site, offsets: RangeOffsets) -> Tensor:
-    """Return ranges in the plan without their offset, shape (…, A), metres; 0 where not heard."""
-    offsets_m = torch.from_numpy(offsets.per_access_point_m(site.macs)).to(slant_m.device)
-    heights_m = torch.from_numpy(site.height_differences_m).to(slant_m.device)
-    return torch.where(heard, plan_ranges(slant_m - offsets_m, heights_m), 0.0)
-
-
-def all_intervals(
-    padded: PaddedRecordings, site: Site, offsets: RangeOffsets, device: torch.device
-) -> Intervals:
-    """Return all intervals, calibrated, with a leading time axis: (T, B, …)."""
-
-    def tensor(array: NDArray[Any]) -> Tensor:
-        return torch.from_numpy(array).to(device)
-
-    heard = tensor(padded.heard)
-    return Intervals(
-        t_s=tensor(padded.t_s),
-        ranges=calibrated_ranges(tensor(padded.slant_m), heard, site, offsets),
-        stds=tensor(padded.std_m),
-        rss=tensor(padded.rss_dbm),
-        heard=heard,
-        present=tensor(padded.present),
-    )
-
-
 def _locate(localizer: Localizer, intervals: Intervals) -> Estimate:
     """Run the method over all intervals, many at once where it allows that; estimates have shape (T, B, …)."""
     method = localizer.method
-    if isinstance(method, Memoryless) and method.memoryless:
+    if isinstance(method, Memoryless):
         return _locate_together(localizer, intervals)
     if isinstance(method, Refining):
         return _locate_in_stages(localizer, method, intervals)
@@ -291,11 +266,11 @@ def _locate_in_stages(localizer: Localizer, method: Refining, intervals: Interva
     steps, devices = intervals.t_s.shape
     coarse = localizer.with_method(method.coarse)
     found = _locate_together(coarse, intervals)
-    smoothed = method.filter.run(intervals.t_s, intervals.present, found)
+    filtered = method.filter.run(intervals.t_s, intervals.present, found)
     access_points = method.coarse.init(localizer.site, devices)
     rows = flat(intervals)
     coarse_rows = Estimate(
-        smoothed.positions.flatten(0, 1), smoothed.covariances.flatten(0, 1), smoothed.reasons.flatten()
+        filtered.positions.flatten(0, 1), filtered.covariances.flatten(0, 1), filtered.reasons.flatten()
     )
     refined = []
     for at in track(

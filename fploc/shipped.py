@@ -106,12 +106,4 @@ def reading_set(localizer: Localizer, readings: Mapping[str, Reading], t_s: floa
     columns = [readings.get(mac, silent) for mac in macs]
     values = [[one.range_slant_m, one.range_std_m, one.rss_dbm] for one in columns]
     slant, stds, rss = torch.tensor(values, dtype=torch.float64).T[:, None].nan_to_num(nan=0.0)
-    heard = slant > 0
-    return Intervals(
-        t_s=torch.tensor([t_s], dtype=torch.float64),
-        ranges=localizer.calibrated(slant, heard),
-        stds=torch.where(heard, stds, 0.0),
-        rss=torch.where(heard, rss, 0.0),
-        heard=heard,
-        present=torch.ones(1, dtype=torch.bool),
-    )
+    return localizer.calibrated(torch.tensor([t_s], dtype=torch.float64), slant, stds, rss)

@@ -153,25 +153,22 @@ def test_a_range_below_the_height_difference_is_none_in_the_plan() -> None:
     torch.testing.assert_close(found, torch.tensor([0.0, 0.0, 1.5]))
 
 
+def reported(localizer: Localizer, lap: Recording, step: int) -> Intervals:
+    """Return one interval of a recording as its device sends it."""
+    at = slice(step, step + 1)
+    return localizer.calibrated(
+        *(torch.from_numpy(one[at]) for one in (lap.t_s, lap.slant_m, lap.std_m, lap.rss_dbm))
+    )
+
+
 def test_the_live_localizer_says_what_the_offline_one_says() -> None:
     lap = recording(25, offset_m=0.5)
     (track,) = localize(geometric_method("nls"), SITE, [lap], NONE, KalmanSettings())
     assert track.filtered is not None
     live = Localizer(geometric_method("nls"), SITE, NONE, KalmanSettings())
     state = live.init(1)
-    heard = torch.from_numpy(lap.heard)
-    ranges = live.calibrated(torch.from_numpy(lap.slant_m), heard)
     for step in range(len(lap)):
-        blank = torch.zeros_like(ranges[step : step + 1])
-        one = Intervals(
-            t_s=torch.from_numpy(lap.t_s[step : step + 1]),
-            ranges=ranges[step : step + 1],
-            stds=blank,
-            rss=blank,
-            heard=heard[step : step + 1],
-            present=torch.ones(1, dtype=torch.bool),
-        )
-        state, found = live.advance(state, one)
+        state, found = live.advance(state, reported(live, lap, step))
         np.testing.assert_allclose(found.positions[0], track.filtered.positions_m[step], atol=1e-9)
 
 
@@ -192,17 +189,7 @@ def test_refining_all_rows_together_equals_stepping_through_time(untrained_chain
         state = localizer.init(1)
         one = track.recording
         for step in range(len(one)):
-            heard = torch.from_numpy(one.heard[step : step + 1])
-            slant = torch.from_numpy(one.slant_m[step : step + 1])
-            intervals = Intervals(
-                t_s=torch.from_numpy(one.t_s[step : step + 1]),
-                ranges=localizer.calibrated(slant, heard),
-                stds=torch.from_numpy(one.std_m[step : step + 1]),
-                rss=torch.from_numpy(one.rss_dbm[step : step + 1]),
-                heard=heard,
-                present=torch.tensor([True]),
-            )
-            state, found = localizer.advance(state, intervals)
+            state, found = localizer.advance(state, reported(localizer, one, step))
             assert track.filtered is not None
             np.testing.assert_allclose(
                 found.positions[0].numpy(), track.filtered.positions_m[step], atol=1e-4, equal_nan=True

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from fploc.datasets.manifest import LinkCounts, RecordingCounts
 from fploc.datasets.published import join_published
 from fploc.errors import BadFileError, FplocError
+from fploc.plausible import NEVER_HEARD_FROM_M, has_rss
 from fploc.raw.cleaned import read_cleaned
 from fploc.raw.device_link import read_device_link
 from fploc.raw.lap import IMU_COLUMNS, Lap
 from fploc.raw.phone_log import read_duration_ms, read_phone_log
 from fploc.repair.clocks import in_order, is_row_grid, rescale
 from fploc.repair.labels import Labels, repair_labels
-from fploc.repair.readings import DROP_FROM_M, WEAKEST_DBM, drop_repeats, keep_sets, mend_readings
+from fploc.repair.readings import drop_repeats, keep_sets, mend_readings
 from fploc.schema import DEVICE_LINKS, INTERVALS, READINGS, Table
 from fploc.sites.registry import LinkSpec, RecordingSpec, SiteSpec
 
@@ -120,7 +121,7 @@ def link_rows(link: LinkSpec, path: Path) -> tuple[pd.DataFrame, LinkCounts]:
     """
     log = read_device_link(path)
     range_m, rss = log["range_m"].to_numpy(), log["rss_dbm"].to_numpy()
-    far = range_m >= DROP_FROM_M
+    far = range_m >= NEVER_HEARD_FROM_M
     back = ~in_order(log["t_ms"].to_numpy()) | (np.diff(log["t_ms"], prepend=-np.inf) == 0)
     kept = ~far & ~back
     rows = pd.DataFrame(
@@ -129,7 +130,7 @@ def link_rows(link: LinkSpec, path: Path) -> tuple[pd.DataFrame, LinkCounts]:
             "t_ms": log["t_ms"],
             "range_m": np.where(range_m > 0, range_m, np.nan),
             "range_std_m": np.where(range_m > 0, log["std_m"], np.nan),
-            "rss_dbm": np.where((rss >= WEAKEST_DBM) & (rss < 0), rss, np.nan),
+            "rss_dbm": np.where(has_rss(rss), rss, np.nan),
         }
     )[kept]
     counts = LinkCounts(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fploc.datasets.recordings import Bools, Floats, Recording
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.walls import wall_crossings
-from fploc.repair.readings import FAR_BEYOND_M
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 
 Ints = NDArray[np.int64]
@@ -81,7 +81,7 @@ def link_errors(site: Site, plan: FloorPlan, recordings: Sequence[Recording], la
     slant = np.concatenate([one.slant_m for one in recordings])
     rss = np.concatenate([one.rss_dbm for one in recordings])
     time = np.concatenate([one.t_s for one in recordings])
-    known = np.isfinite(positions).all(axis=1)[:, None] & (slant > 0.0) & (slant <= FAR_BEYOND_M)
+    known = np.isfinite(positions).all(axis=1)[:, None] & (slant > 0.0) & (slant <= FARTHEST_RANGE_M)
     rows, access_points = np.nonzero(known)
     starts, ends = site.positions_m[access_points], positions[rows]
     distance = np.hypot(np.linalg.norm(ends - starts, axis=1), site.height_differences_m[access_points])

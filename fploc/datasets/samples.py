@@ -13,7 +13,8 @@ from torch.utils.data import Dataset
 from fploc.datasets.recordings import Floats, Recording
 from fploc.floorplan.plan import FloorPlan
 from fploc.floorplan.raster import PlanRaster
-from fploc.intervals import FARTHEST_RANGE_M, Intervals, Links, links_of
+from fploc.intervals import Intervals, Links, links_of
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 
 

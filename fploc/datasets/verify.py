@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from fploc.datasets.source_files import blob_sha1, required_files
-from fploc.errors import BadFileError, FplocError, HashMismatchError, MissingFileError
+from fploc.errors import FplocError, HashMismatchError, MissingFileError
 from fploc.progress import track
 from fploc.sites.registry import load_spec
 
@@ -111,51 +108,3 @@ def verify(source: Path, sites: Sequence[str]) -> VerifyReport:
         not_there=tuple(not_there),
         way_out="fetch it again with `fploc data download`, or correct the local copy",
     )
-
-
-def verify_packed(data_root: Path, sites: Sequence[str]) -> VerifyReport:
-    """Check every file of the packed ``sites`` by the SHA-256 that ``manifest.json`` holds of it.
-
-    Raises:
-        BadFileError: If a manifest is no JSON, or holds no hashes.
-    """
-    folder = data_root / "packed"
-    missing: list[str] = []
-    invalid: list[InvalidFile] = []
-    checked = 0
-    for site in sites:
-        manifest = folder / site / "manifest.json"
-        if not manifest.is_file():
-            missing.append(f"{site}/manifest.json")
-            continue
-        for name, expected in _packed_hashes(manifest).items():
-            checked += 1
-            path = folder / site / name
-            if not path.is_file():
-                missing.append(f"{site}/{name}")
-                continue
-            found = hashlib.sha256(path.read_bytes()).hexdigest()
-            if found != expected:
-                invalid.append(InvalidFile(f"{site}/{name}", "SHA-256", found, expected))
-    return VerifyReport(
-        folder=folder,
-        checked=checked,
-        missing=tuple(missing),
-        invalid=tuple(invalid),
-        not_there=(),
-        way_out="rebuild the packed site with `fploc data build`",
-    )
-
-
-def _packed_hashes(manifest: Path) -> dict[str, str]:
-    try:
-        hashes: Any = json.loads(manifest.read_text("utf-8"))["files"]
-        return {str(name): str(value) for name, value in hashes.items()}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BadFileError(
-            manifest,
-            "key files",
-            value=repr(error),
-            expected="a JSON object of file names and SHA-256 hashes",
-            way_out="rebuild the packed site with `fploc data build`",
-        ) from error

@@ -13,14 +13,15 @@ import torch
 from numpy.typing import NDArray
 
 from fploc.calibration.offsets import RangeOffsets
-from fploc.calibration.ranges import calibrated_plan_ranges
+from fploc.calibration.ranges import recorded_intervals
 from fploc.datasets.recordings import Recording
 from fploc.evaluation.metrics import score
 from fploc.evaluation.records import finite_or_none
 from fploc.filters.kalman import KalmanSettings
-from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals
-from fploc.localizer import Path, localize
+from fploc.intervals import Estimate
+from fploc.localizer import Path, flat, localize
 from fploc.methods.gnn_fpdnn import GNNFPDNN
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 
 Floats = NDArray[np.float64]
@@ -106,33 +107,18 @@ def _ranges(
     method: GNNFPDNN, site: Site, recording: Recording, offsets: RangeOffsets, coarse: Path
 ) -> tuple[Floats, Floats]:
     """Return the ranges of a recording before and after FPDNN, as ``ChainTrack`` holds them."""
-    ranges_m = calibrated_plan_ranges(recording, site, offsets)
-    heard = recording.heard & (ranges_m <= FARTHEST_RANGE_M)
+    intervals = flat(recorded_intervals([recording], site, offsets)).nearer_than(FARTHEST_RANGE_M)
+    heard = intervals.heard.numpy()
     access_points = method.coarse.init(site, len(recording))
     step = method.rows_at_once(len(site.access_points))
     chunks = [slice(start, start + step) for start in range(0, len(recording), step)]
     with torch.inference_mode():
         corrected = [
-            method.corrected_ranges(
-                _intervals(recording, ranges_m, heard, at), access_points, _estimate(coarse, at)
-            )
-            for at in chunks
+            method.corrected_ranges(intervals.at(at), access_points, _estimate(coarse, at)) for at in chunks
         ]
     return (
-        np.where(heard, ranges_m, np.nan),
+        np.where(heard, intervals.ranges.numpy(), np.nan),
         np.where(heard & coarse.fixed[:, None], torch.cat(corrected).numpy(), np.nan),
-    )
-
-
-def _intervals(recording: Recording, ranges_m: Floats, heard: NDArray[np.bool_], at: slice) -> Intervals:
-    """Return some intervals of a recording as rows of a batch."""
-    return Intervals(
-        t_s=torch.from_numpy(recording.t_s[at]),
-        ranges=torch.from_numpy(np.where(heard, ranges_m, 0.0)[at]),
-        stds=torch.from_numpy(recording.std_m[at]),
-        rss=torch.from_numpy(recording.rss_dbm[at]),
-        heard=torch.from_numpy(heard[at]),
-        present=torch.ones(len(ranges_m[at]), dtype=torch.bool),
     )
 
 

@@ -16,12 +16,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fploc.intervals import REGION_95
 from fploc.localizer import Path
 
 Floats = NDArray[np.float64]
 
-REGION_95 = 5.991464547107979
-"""95 % quantile of χ² with two degrees of freedom."""
 COUNTS = ("n", "n_before_first_fix")
 
 

@@ -28,7 +28,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from fploc.calibration.link_offset import LinkOffsets
 from fploc.calibration.offsets import RangeOffsets
 from fploc.datasets.packed import PackedSite, read_packed
 from fploc.datasets.paired import NO_LINK, PairedLap, paired_laps
@@ -44,7 +43,6 @@ from fploc.joint_localizer import (
     company,
     is_joint,
     joint_tracks,
-    link_offsets,
     ranged_tracks,
 )
 from fploc.localizer import Track, localize
@@ -93,7 +91,6 @@ class LapTracks:
         lap: The lap.
         alone: Tracks without the link.
         linked: Tracks with it; those without where the method takes no other device.
-        link_offsets: What was known of the link's offset before its first reading and after each.
         is_linked: True where a reading of the link and an interval of the other device stand beside an
             interval, shape (T,) for each device.
     """
@@ -101,7 +98,6 @@ class LapTracks:
     lap: PairedLap
     alone: tuple[Track, Track]
     linked: tuple[Track, Track]
-    link_offsets: LinkOffsets
     is_linked: tuple[Bools, Bools]
 
 
@@ -271,7 +267,6 @@ def _lap_tracks(run: _Run, laps: Sequence[PairedLap]) -> list[LapTracks]:
                 lap=lap,
                 alone=both[index],
                 linked=(linked[2 * index], linked[2 * index + 1]),
-                link_offsets=link_offsets(of_lap[0], prior_m=prior_m, settings=run.settings),
                 is_linked=(first, second),
             )
         )

@@ -16,7 +16,7 @@ import torch
 from threadpoolctl import threadpool_limits
 
 from fploc.datasets.packed import read_packed
-from fploc.datasets.recordings import Recording, pad
+from fploc.datasets.recordings import Recording
 from fploc.errors import FplocError, MissingArtifactError
 from fploc.evaluation.evaluate import EvaluationRequest
 from fploc.evaluation.protocols import PUBLIC_SOURCE, protocol_of
@@ -135,8 +135,8 @@ def _timings(
             for batch in (1, devices):
                 localizer = Localizer(ready.method, site, ready.offsets, KalmanSettings())
                 steps = _steps(localizer, recording, batch, fixes)
-                located, smoothed = _milliseconds(localizer, steps, batch)
-                rows = [(name, located), (KALMAN, smoothed)] if name == METHODS[0] else [(name, located)]
+                located, filtered = _milliseconds(localizer, steps, batch)
+                rows = [(name, located), (KALMAN, filtered)] if name == METHODS[0] else [(name, located)]
                 for row, taken in rows:
                     yield Timing(
                         method=row,
@@ -172,21 +172,9 @@ def _steps(localizer: Localizer, recording: Recording, batch: int, fixes: int) -
     parts = np.arange(batch) * (length // batch)
     rows = (np.arange(count)[:, None] + parts) % length
     rounds = (np.arange(count)[:, None] + parts) // length
-    padded = pad([recording])
-    heard = torch.from_numpy(padded.heard[rows, 0])
-    t_s = padded.t_s[rows, 0] + rounds * (np.ptp(recording.t_s) + 1.0)
-    ranges = localizer.calibrated(torch.from_numpy(padded.slant_m[rows, 0]), heard)
-    return [
-        Intervals(
-            t_s=torch.from_numpy(t_s[step]),
-            ranges=ranges[step],
-            stds=torch.from_numpy(padded.std_m[rows[step], 0]),
-            rss=torch.from_numpy(padded.rss_dbm[rows[step], 0]),
-            heard=heard[step],
-            present=torch.ones(batch, dtype=torch.bool),
-        )
-        for step in range(count)
-    ]
+    t_s = recording.t_s[rows] + rounds * (np.ptp(recording.t_s) + 1.0)
+    reported = (t_s, recording.slant_m[rows], recording.std_m[rows], recording.rss_dbm[rows])
+    return [localizer.calibrated(*map(torch.from_numpy, step)) for step in zip(*reported, strict=True)]
 
 
 def _milliseconds(
@@ -194,14 +182,14 @@ def _milliseconds(
 ) -> tuple[list[float], list[float]]:
     """Return milliseconds per fix of the method and of the filter for every step after the warm-up."""
     state: LocalizerState = localizer.init(batch)
-    located, smoothed = [], []
+    located, filtered = [], []
     with torch.inference_mode():
         for intervals in steps:
             started = time.perf_counter()
             state, found = localizer.locate(state, intervals)
             between = time.perf_counter()
-            state, _ = localizer.smooth(state, intervals, found)
+            state, _ = localizer.filtered(state, intervals, found)
             ended = time.perf_counter()
             located.append(1000 * (between - started) / batch)
-            smoothed.append(1000 * (ended - between) / batch)
-    return located[WARM_UP:], smoothed[WARM_UP:]
+            filtered.append(1000 * (ended - between) / batch)
+    return located[WARM_UP:], filtered[WARM_UP:]

@@ -8,28 +8,15 @@ import numpy as np
 import torch
 
 from fploc.calibration.offsets import LABELS, RangeOffsets, SourceRecordings
-from fploc.calibration.ranges import plan_ranges
-from fploc.datasets.recordings import pad
+from fploc.calibration.ranges import recorded_intervals
 from fploc.errors import FplocError
 from fploc.evaluation.protocols import EvaluationProtocol, Targets
-from fploc.intervals import Intervals
 from fploc.methods.interface import Examples, Method, SourceFitted
 
 
 def examples_of(source: SourceRecordings, offsets: RangeOffsets) -> Examples:
     """Return the recordings of a source site with calibrated ranges and repaired ground truth."""
-    padded = pad(source.recordings)
-    heard = torch.from_numpy(padded.heard)
-    away = torch.from_numpy(padded.slant_m - offsets.per_access_point_m(source.site.macs))
-    ranges = plan_ranges(away, torch.from_numpy(source.site.height_differences_m))
-    intervals = Intervals(
-        t_s=torch.from_numpy(padded.t_s),
-        ranges=torch.where(heard, ranges, 0.0),
-        stds=torch.from_numpy(padded.std_m),
-        rss=torch.from_numpy(padded.rss_dbm),
-        heard=heard,
-        present=torch.from_numpy(padded.present),
-    )
+    intervals = recorded_intervals(source.recordings, source.site, offsets)
     labels = [one.labels_m(LABELS) for one in source.recordings]
     longest = max(len(one) for one in labels)
     filled = [np.pad(one, [(0, longest - len(one)), (0, 0)], constant_values=np.nan) for one in labels]

@@ -230,15 +230,15 @@ class BatchedFilter:
         for one, updates in zip(moves.by_step(steps, devices), all_update, strict=True):
             means, covariances = self._moved(means, covariances, one, updates)
             found.append((means[:, :2], covariances[:, :2, :2]))
-        smooth = estimate(
+        filtered = estimate(
             torch.cat([positions for positions, _ in found]),
             torch.cat([spreads for _, spreads in found]),
             rows.reasons,
         )
         return Estimate(
-            smooth.positions.reshape(steps, devices, 2),
-            smooth.covariances.reshape(steps, devices, 2, 2),
-            smooth.reasons.reshape(steps, devices),
+            filtered.positions.reshape(steps, devices, 2),
+            filtered.covariances.reshape(steps, devices, 2, 2),
+            filtered.reasons.reshape(steps, devices),
         )
 
     def _moves(

@@ -21,9 +21,10 @@ from torch import Tensor
 
 from fploc.conf import instantiate, read_conf
 from fploc.errors import FplocError
-from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals
+from fploc.intervals import Estimate, Intervals
 from fploc.methods.interface import Examples, Method
 from fploc.methods.link_history import LinkHistory
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 from fploc.solvers.losses import Loss
 from fploc.solvers.nonlinear import NonlinearSettings, solve_nonlinear

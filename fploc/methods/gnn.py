@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
 
 from fploc.graphs.first_estimates import first_estimates
 from fploc.graphs.radio_graph import neighbours, radio_graph
-from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals, NoFix, estimate
+from fploc.intervals import Estimate, Intervals, NoFix, estimate
 from fploc.models.gnn import GNN
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 
 FEWEST_NEIGHBOURS = 3
@@ -32,13 +34,12 @@ class GNNMethod:
         network: The trained network, in evaluation mode.
         variance_m2: Variance of a fix per axis, from the validation recordings.
         name: Of the method.
-        memoryless: It keeps nothing from one interval to the next.
     """
 
     network: GNN
     variance_m2: float
     name: str = "gnn"
-    memoryless: bool = True
+    memoryless: ClassVar[bool] = True
 
     def init(self, site: Site, devices: int) -> Tensor:
         """Return the access points' positions; they serve any number of devices."""

@@ -9,11 +9,12 @@ from torch import Tensor
 
 from fploc.filters.kalman import BatchedFilter, KalmanSettings, KalmanState
 from fploc.floorplan.raster import CropSettings, PlanRaster
-from fploc.intervals import FARTHEST_RANGE_M, Estimate, Intervals, links_of, selected
+from fploc.intervals import Estimate, Intervals, links_of, selected
 from fploc.methods.chained import Companion
 from fploc.methods.gnn import GNNMethod
 from fploc.methods.one_shot import RangeSolver
 from fploc.models.fpdnn import FPDNN, Sight
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 from fploc.solvers.losses import Loss
 from fploc.solvers.nonlinear import solve_near
@@ -76,8 +77,8 @@ class GNNFPDNN:
     def step(self, state: ChainState, intervals: Intervals) -> tuple[ChainState, Estimate]:
         """Locate every device from one interval."""
         _, found = self.coarse.step(state.access_points, intervals)
-        tracks, smoothed = self.filter.step(state.coarse, intervals.t_s, intervals.present, found)
-        return ChainState(state.access_points, tracks), self.refine(state.access_points, intervals, smoothed)
+        tracks, filtered = self.filter.step(state.coarse, intervals.t_s, intervals.present, found)
+        return ChainState(state.access_points, tracks), self.refine(state.access_points, intervals, filtered)
 
     def rows_at_once(self, access_points: int) -> int:
         """Return how many rows of ``access_points`` links have crops of 8 million pixels together, at least 1."""
@@ -85,7 +86,7 @@ class GNNFPDNN:
 
     @torch.no_grad()
     def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
-        """Locate every device from one interval and its smoothed coarse position, each row alone.
+        """Locate every device from one interval and its filtered coarse position, each row alone.
 
         Ranges beyond 60 m count as not heard.
         """
@@ -107,7 +108,7 @@ class GNNFPDNN:
         """Locate every device as ``refine`` does, with the other device as one more access point.
 
         With two access points it is the third. Two places fit three ranges about equally well where the
-        three stand nearly on one line: the one next to the smoothed coarse position is taken.
+        three stand nearly on one line: the one next to the filtered coarse position is taken.
 
         Args:
             access_points: Shape (A, 2), metres, site frame.

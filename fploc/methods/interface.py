@@ -57,7 +57,7 @@ class Refining(Protocol):
         """Return how many rows ``refine`` should be given: bounds memory, not results."""
 
     def refine(self, access_points: Tensor, intervals: Intervals, coarse: Estimate) -> Estimate:
-        """Return the estimates of rows (B, …) from their smoothed coarse positions."""
+        """Return the estimates of rows (B, …) from their filtered coarse positions."""
 
 
 @runtime_checkable

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from fploc.intervals import FARTHEST_RANGE_M, Intervals
+from fploc.intervals import Intervals
+from fploc.plausible import FARTHEST_RANGE_M
 
 WINDOWS_S = (2.0, 10.0)
 """Time constants of a link's recent past: a few steps, and the stretch over which errors of places last."""

@@ -6,7 +6,7 @@ Axes: B intervals, A access points.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -23,7 +23,7 @@ class Memoryless(Protocol):
     as the scan over time. Declaring ``memoryless`` promises both.
     """
 
-    memoryless: bool
+    memoryless: ClassVar[bool]
 
 
 class RangeSolver(Protocol):
@@ -51,7 +51,7 @@ class OneShotMethod:
     default_calibration: str
     sigma_m: float = 1.0
     sigma_per_m: float = 0.0
-    memoryless: bool = True
+    memoryless: ClassVar[bool] = True
 
     def init(self, site: Site, devices: int) -> Tensor:
         """Return the access points' positions; they serve any number of devices."""

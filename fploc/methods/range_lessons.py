@@ -15,11 +15,12 @@ from torch import Tensor
 
 from fploc.errors import FplocError
 from fploc.floorplan.sight import behind_walls
-from fploc.intervals import FARTHEST_RANGE_M, Intervals
+from fploc.intervals import Intervals
 from fploc.methods.coarse_belief import CoarseBelief, CoarseState
 from fploc.methods.interface import Examples
 from fploc.methods.link_evidence import FEATURES, View
 from fploc.models.range_error import RangeErrorNetwork, log_density
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import Site
 
 EVERY_S = 60.0

@@ -8,6 +8,7 @@ from torch_geometric.data import Data
 from torch_geometric.nn import MessagePassing
 from torch_geometric.utils import scatter
 
+from fploc.intervals import RSS_AT_1_M_DBM
 from fploc.models.fpdnn import RANGE_SCALE_M, RSS_CENTRE_DBM, RSS_SCALE_DB, zero_linear
 
 NODE_FEATURES = 5
@@ -15,7 +16,6 @@ EDGE_INPUTS = 4
 DEVICE_FEATURES = 5
 LARGEST_RESIDUAL_M = 20.0
 EXPECTED_NEIGHBOURS = 8.0
-RSS_AT_1_M_DBM = -40.0
 
 
 def unit_vectors(offsets: Tensor, lengths: Tensor) -> Tensor:

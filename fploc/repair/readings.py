@@ -8,14 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from fploc.plausible import FARTHEST_RANGE_M, has_range, has_rss
 from fploc.raw.lap import Lap
-
-# Ranges from here on are outliers (up to 56,425 m in the public files); no AP is heard that far.
-DROP_FROM_M = 100.0
-# Ranges beyond this are kept and flagged.
-FAR_BEYOND_M = 60.0
-# Android reports -127 dBm where it does not know.
-WEAKEST_DBM = -120.0
 
 Counts = dict[str, int]
 
@@ -66,24 +60,22 @@ def mend_readings(readings: pd.DataFrame) -> tuple[pd.DataFrame, Counts]:
     """
     slant, rss = readings["range_slant_m"].to_numpy(), readings["rss_dbm"].to_numpy()
     std = readings["range_std_m"].to_numpy()
-    has_range, has_rss = slant > 0, (rss >= WEAKEST_DBM) & (rss < 0)
-    negative = slant < 0
-    heard = has_range | has_rss | negative
-    outlier = has_range & (slant >= DROP_FROM_M)
-    kept = heard & ~outlier
-    far = slant > FAR_BEYOND_M
+    ranged, levelled, negative = has_range(slant), has_rss(rss), slant < 0
+    outlier = (slant > 0) & ~ranged
+    kept = (ranged | levelled | negative) & ~outlier
+    far = ranged & (slant > FARTHEST_RANGE_M)
     mended = readings.assign(
-        range_slant_m=np.where(has_range, slant, np.nan),
-        range_plan_m=np.where(has_range, readings["range_plan_m"], np.nan),
-        range_std_m=np.where(has_range & (std >= 0), std, np.nan),
-        rss_dbm=np.where(has_rss, rss, np.nan),
-        is_far=has_range & far,
+        range_slant_m=np.where(ranged, slant, np.nan),
+        range_plan_m=np.where(ranged, readings["range_plan_m"], np.nan),
+        range_std_m=np.where(ranged & (std >= 0), std, np.nan),
+        rss_dbm=np.where(levelled, rss, np.nan),
+        is_far=far,
     )[kept]
     counts = {
         "range_from_100m": int(outlier.sum()),
-        "range_missing": int((kept & ~has_range).sum()),
+        "range_missing": int((kept & ~ranged).sum()),
         "range_negative": int((kept & negative).sum()),
-        "rss_missing": int((kept & ~has_rss).sum()),
-        "far_beyond_60m": int((kept & has_range & far).sum()),
+        "rss_missing": int((kept & ~levelled).sum()),
+        "far_beyond_60m": int((kept & far).sum()),
     }
     return mended, counts

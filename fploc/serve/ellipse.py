@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-CHI_SQUARE_95 = 5.991464547107979
-"""95 % quantile of χ² with two degrees of freedom."""
+from fploc.intervals import REGION_95
 
 
 def ellipse95(variance_x: float, variance_y: float, covariance: float) -> dict[str, float]:
@@ -13,7 +12,7 @@ def ellipse95(variance_x: float, variance_y: float, covariance: float) -> dict[s
     mean, half = (variance_x + variance_y) / 2, (variance_x - variance_y) / 2
     spread = math.hypot(half, covariance)
     return {
-        "semi_major_m": math.sqrt(CHI_SQUARE_95 * max(mean + spread, 0.0)),
-        "semi_minor_m": math.sqrt(CHI_SQUARE_95 * max(mean - spread, 0.0)),
+        "semi_major_m": math.sqrt(REGION_95 * max(mean + spread, 0.0)),
+        "semi_minor_m": math.sqrt(REGION_95 * max(mean - spread, 0.0)),
         "angle_rad": 0.5 * math.atan2(2 * covariance, 2 * half),
     }

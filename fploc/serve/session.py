@@ -22,17 +22,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fploc.intervals import Intervals, NoFix
+from fploc.intervals import NoFix
 from fploc.localizer import Localizer
+from fploc.plausible import has_range
 from fploc.serve.admission import DeviceClock, Verdict
 from fploc.serve.device_states import DeviceStates
 from fploc.serve.ellipse import ellipse95
 from fploc.serve.messages import Interval, Measurements
 from fploc.serve.rows import DeviceRow, FixRow, StateRow, WaitingRow
 from fploc.serve.settings import ServeSettings
-
-FARTHEST_READING_M = 100.0
-"""Ranges beyond it, and at or below 0 m, do not count as heard: the rule of the packed sites."""
 
 
 @dataclass(frozen=True)
@@ -256,12 +254,7 @@ class SiteSession:
             if column is None:
                 unknown += 1
                 continue
-            slant = reading.range_m or 0.0
-            values[:, column] = (
-                slant if 0.0 < slant <= FARTHEST_READING_M else 0.0,
-                reading.range_std_m or 0.0,
-                reading.rss_dbm or 0.0,
-            )
+            values[:, column] = (reading.range_m or 0.0, reading.range_std_m or 0.0, reading.rss_dbm or 0.0)
         truth = None if interval.truth is None else (interval.truth.x_m, interval.truth.y_m)
         return QueuedInterval(*place, interval.t_ms, now_ms, values, truth), unknown
 
@@ -319,15 +312,8 @@ class SiteSession:
         if len(batch.anew):
             self._states.reset(batch.anew)
         values = torch.from_numpy(batch.values)
-        heard = values[:, 0] > 0.0
-        intervals = Intervals(
-            t_s=torch.tensor([one.t_ms for one in batch.queued], dtype=torch.float64) / 1000.0,
-            ranges=self.localizer.calibrated(values[:, 0], heard),
-            stds=values[:, 1],
-            rss=values[:, 2],
-            heard=heard,
-            present=torch.ones(len(values), dtype=torch.bool),
-        )
+        t_s = torch.tensor([one.t_ms for one in batch.queued], dtype=torch.float64) / 1000.0
+        intervals = self.localizer.calibrated(t_s, *values.unbind(1))
         state, found = self.localizer.advance(self._states.gather(batch.slots), intervals)
         self._states.scatter(batch.slots, state)
         return Computed(
@@ -419,7 +405,7 @@ class SiteSession:
             variance_y_m2=covariance[1][1] if fixed else None,
             covariance_xy_m2=covariance[0][1] if fixed else None,
             reason=reason.name.lower(),
-            access_points=int((one.values[0] > 0.0).sum()),
+            access_points=int(has_range(one.values[0]).sum()),
             method=self.localizer.method.name,
             truth_x_m=None if one.truth is None else one.truth[0],
             truth_y_m=None if one.truth is None else one.truth[1],

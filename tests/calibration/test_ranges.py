@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 import torch
 
 from fploc.calibration.offsets import RangeOffsets
-from fploc.calibration.ranges import calibrated_plan_ranges, plan_ranges
+from fploc.calibration.ranges import calibrated_intervals, calibrated_plan_ranges, plan_ranges
 from fploc.datasets.recordings import Recording
+from fploc.intervals import Intervals
 from fploc.sites.site import AccessPoint, Site
 
 SITE = Site(
@@ -67,3 +69,29 @@ def test_the_recording_itself_is_left_alone() -> None:
     before = RECORDING.slant_m.copy()
     calibrated_plan_ranges(replace(RECORDING), SITE, RangeOffsets("2.0", 2.0))
     np.testing.assert_array_equal(RECORDING.slant_m, before)
+
+
+def intervals(slant_m: list[float], rss_dbm: list[float]) -> Intervals:
+    return calibrated_intervals(
+        SITE,
+        RangeOffsets("none", 0.0),
+        t_s=torch.zeros(1),
+        slant_m=torch.tensor([slant_m]),
+        stds_m=torch.full((1, 2), 0.5),
+        rss_dbm=torch.tensor([rss_dbm]),
+        present=torch.tensor([True]),
+    )
+
+
+@pytest.mark.parametrize("slant_m", [0.0, -0.5, 100.0, 56425.0, math.nan, math.inf])
+def test_what_is_no_range_was_not_heard(slant_m: float) -> None:
+    found = intervals([slant_m, 6.0], [-50.0, -60.0])
+    assert found.heard.tolist() == [[False, True]]
+    assert [one[0, 0].item() for one in (found.ranges, found.stds, found.rss)] == [0.0, 0.0, 0.0]
+    assert [one[0, 1].item() for one in (found.ranges, found.stds, found.rss)] == [6.0, 0.5, -60.0]
+
+
+@pytest.mark.parametrize("rss_dbm", [0.0, -127.0, 3.0, math.nan])
+def test_an_unknown_signal_strength_is_the_usual_one_of_its_range(rss_dbm: float) -> None:
+    found = intervals([5.0, 10.0], [-45.0, rss_dbm])
+    assert found.heard.all() and found.rss[0].tolist() == [-45.0, -60.0]

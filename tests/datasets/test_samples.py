@@ -12,7 +12,8 @@ from fploc.datasets.recordings import Recording
 from fploc.datasets.samples import LabelledIntervals, MeasuredIntervals
 from fploc.floorplan.georeference import Georeference
 from fploc.floorplan.plan import FloorPlan
-from fploc.intervals import FARTHEST_RANGE_M, DeviceLinks
+from fploc.intervals import DeviceLinks
+from fploc.plausible import FARTHEST_RANGE_M
 from fploc.sites.site import AccessPoint, Site
 
 SITE = Site(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import shutil
 from pathlib import Path
 
@@ -18,9 +16,8 @@ from fploc.datasets.source_files import (
     site_files,
     split_by_presence,
 )
-from fploc.datasets.verify import verify, verify_packed
+from fploc.datasets.verify import verify
 from fploc.errors import (
-    BadFileError,
     FplocError,
     HashMismatchError,
     MissingFileError,
@@ -128,36 +125,3 @@ def test_a_folder_named_by_the_full_commit_hash_is_a_source_too(copy: Path) -> N
 
 def test_sites_without_any_recording_are_told_apart(copy: Path) -> None:
     assert split_by_presence(copy, ["library", "laboratory"]) == (["library"], ["laboratory"])
-
-
-@pytest.fixture
-def data_root(tmp_path: Path) -> Path:
-    folder = tmp_path / "packed" / "office"
-    folder.mkdir(parents=True)
-    files = {"readings.parquet": b"rows", "plan.png": b"image"}
-    for name, contents in files.items():
-        (folder / name).write_bytes(contents)
-    hashes = {name: hashlib.sha256(contents).hexdigest() for name, contents in files.items()}
-    (folder / "manifest.json").write_text(json.dumps({"files": hashes}))
-    return tmp_path
-
-
-def test_an_intact_packed_site_passes(data_root: Path) -> None:
-    report = verify_packed(data_root, ["office"])
-    assert report.is_intact and report.checked == 2
-
-
-def test_changed_and_missing_packed_files_are_listed(data_root: Path) -> None:
-    folder = data_root / "packed" / "office"
-    (folder / "readings.parquet").write_bytes(b"other rows")
-    (folder / "plan.png").unlink()
-    report = verify_packed(data_root, ["office", "library"])
-    assert [file.path for file in report.invalid] == ["office/readings.parquet"]
-    assert report.missing == ("office/plan.png", "library/manifest.json")
-
-
-@pytest.mark.parametrize("text", ["[", "{}", '{"files": 1}'])
-def test_an_unreadable_manifest_is_named(data_root: Path, text: str) -> None:
-    (data_root / "packed" / "office" / "manifest.json").write_text(text)
-    with pytest.raises(BadFileError, match=r"manifest\.json.*fploc data build"):
-        verify_packed(data_root, ["office"])

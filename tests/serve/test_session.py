@@ -318,7 +318,7 @@ def test_strangers_and_useless_ranges_do_not_count(localizer: Localizer, setting
     readings = [
         Reading(bssid="ff:ff:ff:ff:ff:ff", range_m=3.0),
         Reading(bssid=BOX_MAC.format(0), range_m=-0.5),
-        Reading(bssid=BOX_MAC.format(1), range_m=100.5),
+        Reading(bssid=BOX_MAC.format(1), range_m=100.0),
         Reading(bssid=BOX_MAC.format(2).upper(), range_m=8.0),
     ]
     done = session.ingest(Measurements(device="a", intervals=[Interval(t_ms=1.0, readings=readings)]), 0.0)
