@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
+from typing import Any
 
+from fploc.conf import read_conf
 from fploc.datasets.packed import read_packed
 from fploc.errors import FplocError
-from fploc.evaluation.protocols import protocol_of
+from fploc.evaluation.protocols import Targets, protocol_of
 from fploc.evaluation.records import read_tracked_records
 from fploc.evaluation.report import comparison_rows, headline_records
 from fploc.evaluation.run_log import RunLog
@@ -19,6 +22,8 @@ from fploc.experiments.duration import announce_duration
 from fploc.experiments.learning import GENERATOR, Learner
 from fploc.experiments.overviews import record_overviews
 from fploc.experiments.plan import (
+    CALIBRATIONS,
+    EQUIPMENT,
     LEARNED_METHODS,
     SEEN,
     Learning,
@@ -38,6 +43,8 @@ from fploc.experiments.synthesize import MATCH, synthesize
 from fploc.experiments.tracked_scoring import FIGURE_LABELS, ScoreFiles, TrackedScoring
 from fploc.experiments.training import Loggers
 from fploc.experiments.world import World, prepare_world
+from fploc.joint_localizer import NAME as DEVICE_LINK
+from fploc.methods.registry import RIVAL_PARTS
 
 EXPERIMENT = "fploc"
 STAGES = "stages"
@@ -155,18 +162,36 @@ class Reproduction:
     def _scoring_stage(self, scoring: Scoring) -> Stage:
         file = self.files.records(scoring)
         protocol = protocol_of(scoring.protocol, self.world.source)
-        trained = Learning(
-            protocol.artifacts_of(scoring.site), scoring.site, scoring.seed, scoring.ablation
-        ).name
+        trained = Learning(protocol.trained_under, scoring.site, scoring.seed, scoring.ablation).name
         needed = trained if scoring.method in LEARNED_METHODS else self._calibration_name
-        return self._stage(
+        sites = self.learner.sites_of(scoring.protocol, scoring.site)
+        lent = [scoring.plan] if scoring.plan in self.packed else []
+        stage = self._stage(
             f"score--{scoring.name}",
             scoring.ablation,
-            self.learner.sites_of(scoring.protocol, scoring.site),
+            [*sites, *lent],
             [file],
             [needed],
             partial(self.scoring.score, scoring),
         )
+        return replace(stage, inputs=[*stage.inputs, *self._scored_with(scoring)])
+
+    def _scored_with(self, scoring: Scoring) -> list[str]:
+        """Return what a score depends on beside networks and data."""
+        preset = self.preset
+        studied: Mapping[str, list[Any]] = {
+            CALIBRATIONS: [preset.calibrations],
+            EQUIPMENT: [preset.access_point_counts, preset.survey_errors_m],
+        }
+        settings = [*studied.get(scoring.study, []), self._method_settings.get(scoring.method)]
+        if protocol_of(scoring.protocol, self.world.source).targets is Targets.LINKED:
+            settings.append(read_conf("link", DEVICE_LINK))
+        return [json.dumps(one, sort_keys=True) for one in settings]
+
+    @cached_property
+    def _method_settings(self) -> dict[str, dict[str, Any]]:
+        """Settings of the methods that have some, by name; many stages share one, and each is a YAML file."""
+        return {name: read_conf("method", name) for name in RIVAL_PARTS}
 
     def _synthesis_stage(self, site: str) -> Stage:
         return self._stage(

@@ -12,14 +12,17 @@ from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import mlflow
 import pytest
 from mlflow.entities import Run
 
 import fploc.datasets.download
+import fploc.experiments.reproduce
 import fploc.experiments.world
 from fploc.cli import main
+from fploc.conf import read_conf
 from fploc.datasets.download import Patience, download
 from fploc.datasets.packed import read_packed
 from fploc.evaluation.records import Record, tracked_record
@@ -306,6 +309,46 @@ def test_the_report_is_made_anew_where_another_method_stands(calls: Calls, minia
         return made.stages()[-1].key
 
     assert report_key(("nls", "gnn")) != report_key(("lls", "gnn"))
+
+
+def test_a_score_is_made_anew_where_what_it_is_scored_with_has_changed(
+    calls: Calls, miniature: Preset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = World("made-up-1", ("made-up-2",), made_up=True)
+    studied = replace(
+        miniature,
+        methods=("nls", "bayes-grid"),
+        plans=("real", "made-up-2"),
+        calibrations=("none",),
+        access_point_counts=(4,),
+    )
+
+    def keys(preset: Preset) -> dict[str, str]:
+        made = Reproduction.on(preset, world, None, calls.root / "data", calls.root / "runs")
+        return {one.name: one.key for one in made.stages() if one.name.startswith("score--")}
+
+    before = keys(studied)
+
+    def changed(preset: Preset) -> set[str]:
+        return {name for name, key in keys(preset).items() if before[name] != key}
+
+    assert changed(studied) == set()
+    assert changed(replace(studied, calibrations=("none", "source-mac"))) == {
+        name for name in before if "study-calibrations" in name
+    }
+    assert changed(replace(studied, access_point_counts=(3,))) == {
+        name for name in before if "study-equipment" in name
+    }
+    given = read_conf
+
+    def altered(group: str, name: str) -> Any:
+        values = given(group, name)
+        if name == "bayes-grid":
+            values["init_args"]["cell_m"] = 2.0
+        return values
+
+    monkeypatch.setattr(fploc.experiments.reproduce, "read_conf", altered)
+    assert changed(studied) == {name for name in before if "bayes-grid" in name} != set()
 
 
 @pytest.mark.parametrize("state", ["missing", "a file", "empty"])
