@@ -10,6 +10,7 @@ import torch
 from fploc.artifacts import ArtifactKey, offsets_of
 from fploc.errors import UnknownNameError
 from fploc.evaluation.protocols import POOLED_SITES, PUBLIC_SOURCE
+from fploc.methods.learned_grid import LearnedGridSettings
 from fploc.methods.stored_grid import learned_places, restored
 from fploc.shipped import (
     POOLED,
@@ -45,6 +46,11 @@ def test_what_ships_can_be_loaded_and_says_where_it_comes_from(key: ArtifactKey)
     assert all(len(one) == 64 for one in artifact.constants["sites"].values())
     assert 0.5 < offsets_of(artifact).offset_m < 2.0 and artifact.command.startswith("fploc model")
     assert restored(artifact).networks
+
+
+@pytest.mark.parametrize("key", [POOLED, SOURCE_ONLY], ids=lambda key: key.protocol)
+def test_what_ships_has_the_settings_that_the_method_has_now(key: ArtifactKey) -> None:
+    assert restored(shipped_artifact(key)).settings == LearnedGridSettings.read()
 
 
 def test_it_learned_at_no_site_that_judges_it_from_outside() -> None:
