@@ -126,8 +126,9 @@ class EvaluationProtocol:
         }
         return starts.get(self.name)
 
-    def artifacts_of(self, site: str) -> str:
-        """Return the protocol whose artifacts are tested: that of two devices at once trains none of its own."""
+    @property
+    def trained_under(self) -> str:
+        """The protocol whose artifacts are tested: that of two devices at once trains none of its own."""
         return "zero-shot" if self.name == "multi-device" else self.name
 
     def parts(self, recordings: Sequence[Recording], site: Site) -> list[tuple[Bools, Bools]]:

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from fploc.datasets.pages import markdown_grid
 from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.paper_numbers import paper_numbers, published
+from fploc.evaluation.protocols import SOURCE_FLOOR
 from fploc.evaluation.records import KALMAN, NO_FILTER, OWN, Record, TrackedRecord
 from fploc.evaluation.tables import UNKNOWN, mean_text
 
 METRICS = ("rmse_m", "rmse_fixed_m", "p50_m", "p90_m")
 REAL_PLAN = "real"
 FILTERS = {NO_FILTER: "none", KALMAN: "KF", OWN: "own"}
-SHARED_FLOOR = ("conference-room", "office-position1", "office-position2")
 
 
 def variant_of(preset: str) -> str:
@@ -80,7 +80,7 @@ def page(records: Sequence[TrackedRecord], *, preset: str) -> str:
         "interval (`thin`), or a condition.\n",
         *(
             f"\n`{site}` lies on the office floor: its walls were seen in training, so zero-shot says less there.\n"
-            for site in SHARED_FLOOR
+            for site in SOURCE_FLOOR
             if any(tracked.record.site == site for tracked in records)
         ),
     ]

@@ -10,6 +10,7 @@ from fploc.datasets.pages import markdown_grid
 from fploc.evaluation import facts_sections as sections
 from fploc.evaluation.conditions import is_studied
 from fploc.evaluation.paper_comparison import comparison_sections, worse_sentences
+from fploc.evaluation.protocols import SOURCE_FLOOR
 from fploc.evaluation.records import TrackedRecord
 from fploc.evaluation.relative_figures import (
     OURS,
@@ -19,7 +20,7 @@ from fploc.evaluation.relative_figures import (
     percent,
     tuning_rows,
 )
-from fploc.evaluation.report import REAL_PLAN, SHARED_FLOOR, variant_of
+from fploc.evaluation.report import REAL_PLAN, variant_of
 from fploc.evaluation.selection import UNFILTERED, RecordBook, Slot
 from fploc.evaluation.study_tables import study_sections
 from fploc.evaluation.tables import MISSING, NOT_RUN, UNKNOWN, listed, signed
@@ -82,7 +83,7 @@ def _how_to_read(book: RecordBook, facts: sections.Facts, preset: str) -> str:
     scored = listed(one.commit for one in book.records)
     trained = listed(row.get("commit") for row in facts.get("training_cost", ()))
     seeds = sorted({one.seed for one in book.records})
-    floor = ", ".join(f"`{site}`" for site in SHARED_FLOOR)
+    floor = ", ".join(f"`{site}`" for site in SOURCE_FLOOR)
     return f"""Generated from `results.jsonl` and `results-facts.json`, written by `fploc reproduce --preset {preset}`
 (seeds {", ".join(map(str, seeds)) or UNKNOWN}).
 Trained at revision {trained}; scored at revision {scored}.

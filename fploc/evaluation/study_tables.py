@@ -50,8 +50,8 @@ def _access_points(book: RecordBook) -> str:
     table = _table(book, like, "access points", _conditions(book, ACCESS_POINTS))
     return (
         f"RMSE with KF, zero-shot, repaired labels, every {like.thin}th interval, of devices that hear so many of "
-        "the access points that they otherwise hear, over five choices of them, other ones for each recording. First "
-        f"seed of trained methods, which are not adapted to what is left.\n\n{table or MISSING}"
+        "the access points that they otherwise hear, over five choices, the same for all recordings that hear "
+        f"the same ones. First seed of trained methods, which are not adapted to what is left.\n\n{table or MISSING}"
     )
 
 

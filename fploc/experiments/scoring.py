@@ -29,6 +29,7 @@ from fploc.evaluation.evaluate import (
 from fploc.evaluation.multi_device import multi_device_records
 from fploc.evaluation.protocols import PUBLIC_SOURCE, EvaluationProtocol, Targets, Tested, protocol_of
 from fploc.evaluation.records import Record
+from fploc.evaluation.relative_figures import BEFORE_TUNING
 from fploc.experiments.plan import LEARNED_METHODS, SEEN
 from fploc.experiments.preset import VARIANT, check_preset
 from fploc.experiments.source_fit import check_protocol, fitted_on
@@ -66,7 +67,6 @@ from fploc.solvers.nonlinear import solve_nonlinear
 
 METHODS = (*GEOMETRIC_METHODS, *SOURCE_FITTED_METHODS, *LEARNED_METHODS, DEFAULT)
 DEFAULT_CALIBRATION = "source-los"
-BEFORE_TUNING = "before fine-tuning"
 PLANS = {"real": Sight.PLAN, "blank": Sight.PLAN, "length": Sight.LENGTH, "none": Sight.NOTHING}
 """What FPDNN is given under each value of --plan that names no site."""
 
@@ -131,14 +131,18 @@ def ready_method(
     protocol = protocol_of(request.protocol, request.source)
     protocol.check_target(request.site)
     target = read_packed(data_root, request.site)
-    key = ArtifactKey(name, protocol.artifacts_of(request.site), request.site, request.preset, request.seed)
+    key = ArtifactKey(name, protocol.trained_under, request.site, request.preset, request.seed)
     artifact = load_artifact(
         artifacts_folder(runs),
         key,
         data_hash=data_hash(*learned_and_tested(protocol, target, data_root)),
         command=reproduce_command(request.preset, request.site),
     )
-    offsets = offsets_of(artifact) if calibration is None else source_offsets(request, data_root)
+    offsets = (
+        offsets_of(artifact)
+        if calibration is None
+        else source_offsets(replace(request, calibration=calibration), data_root)
+    )
     plan = chosen_plan(request.plan, target, data_root)
     return ReadyMethod(
         learned_method(

@@ -158,7 +158,7 @@ class TrackedScoring:
             for name, value in asdict(record).items()
             if isinstance(value, float) and name not in ("speed_prior",)
         }
-        artifact = Learning(protocol.artifacts_of(scoring.site), scoring.site, scoring.seed, scoring.ablation)
+        artifact = Learning(protocol.trained_under, scoring.site, scoring.seed, scoring.ablation)
         return self.log.record(
             " · ".join(filter(None, [scoring.method, scoring.protocol, scoring.site, scoring.study])),
             tags=self.tags(kind, scoring) | {"method": scoring.method},

@@ -183,8 +183,8 @@ def test_networks_go_on_from_a_protocol_that_trains_its_own_for_the_same_site() 
     assert {start for site, start in tuned.items() if site not in MOVED_SITES} == {"zero-shot"}
     for site, start in tuned.items():
         assert protocol_of(str(start)).admits(site)
-    assert protocol_of("multi-device").artifacts_of("shopping-mall") == "zero-shot"
-    assert all(protocol_of(name).artifacts_of("x") == name for name in set(ADMITTED) - {"multi-device"})
+    assert protocol_of("multi-device").trained_under == "zero-shot"
+    assert all(protocol_of(name).trained_under == name for name in set(ADMITTED) - {"multi-device"})
 
 
 @pytest.mark.parametrize("site", ["conference-room", "office-position1"])

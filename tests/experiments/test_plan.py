@@ -67,7 +67,7 @@ def test_whatever_is_scored_is_trained_and_nothing_is_trained_in_vain(name: str,
     preset = read_preset(name)
     _, trained, scored, source = planned(preset, world)
     used = {
-        Learning(protocol_of(one.protocol, source).artifacts_of(one.site), one.site, one.seed, one.ablation)
+        Learning(protocol_of(one.protocol, source).trained_under, one.site, one.seed, one.ablation)
         for one in scored
         if one.method in LEARNED_METHODS
     }

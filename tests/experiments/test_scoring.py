@@ -15,10 +15,12 @@ from safetensors.torch import load_file
 import fploc.experiments.training
 from fploc.artifacts import Artifact
 from fploc.cli import main
+from fploc.evaluation.evaluate import EvaluationRequest
 from fploc.evaluation.records import Record
 from fploc.experiments.plan import Learning
 from fploc.experiments.preset import Preset
 from fploc.experiments.reproduce import Reproduction
+from fploc.experiments.scoring import ready_method
 from fploc.experiments.stages import StageBook
 from fploc.experiments.world import World
 
@@ -166,6 +168,12 @@ def test_calibration_is_the_artifacts_unless_asked_for(evaluate: Any) -> None:
     assert {one["calibration"] for one in own} == {"source-los"}
     assert {one["calibration"] for one in other} == {"9"}
     assert own[0]["rmse_m"] != other[0]["rmse_m"]
+
+
+@pytest.mark.parametrize("method", ["nls", "learned-grid", "gnn"])
+def test_what_is_made_ready_with_a_calibration_has_it(method: str, trained: Trained) -> None:
+    request = EvaluationRequest("zero-shot", "laboratory", preset="smoke")
+    assert ready_method(method, request, "2.5", trained.root, trained.runs).offsets.offset_m == 2.5
 
 
 def test_records_go_to_a_file_and_a_table_to_the_screen(
