@@ -53,7 +53,7 @@ class Artifact:
         networks: The networks, by name.
         constants: Calibration, crops and other settings, as plain JSON values.
         data_hash: Hash over the manifests of the packed sites that it was made from.
-        recordings: Training recordings, as ``site/name``.
+        recordings: Training recordings, as ``site/device/name``.
         command: The command that makes it.
     """
 

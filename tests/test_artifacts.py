@@ -61,7 +61,7 @@ def artifact(seed: int = 0, parts: tuple[str, ...] = ("gnn", "fpdnn")) -> Artifa
         networks=networks,
         constants=CONSTANTS,
         data_hash="abc",
-        recordings=("office/113", "office/213"),
+        recordings=("office/1/113", "office/1/213"),
         command=COMMAND,
     )
 
@@ -118,7 +118,7 @@ def test_everything_else_comes_back_too(tmp_path: Path) -> None:
     assert (loaded.key, loaded.data_hash, loaded.recordings, loaded.command) == (
         KEY,
         "abc",
-        ("office/113", "office/213"),
+        ("office/1/113", "office/1/213"),
         COMMAND,
     )
 

@@ -178,9 +178,7 @@ def fit_pooled_offsets(estimator: str, sources: Sequence[SourceRecordings]) -> R
         estimator=estimator,
         offset_m=float(np.median(errors_m)),
         by_mac_m=_medians_by_mac(errors_m, macs) if estimator == SOURCE_MAC else {},
-        recordings=tuple(
-            f"{one.site}/{one.device}/{one.name}" for source in sources for one in source.recordings
-        ),
+        recordings=tuple(one.key for source in sources for one in source.recordings),
     )
 
 

@@ -50,6 +50,11 @@ class Recording:
     def __len__(self) -> int:
         return len(self.t_s)
 
+    @property
+    def key(self) -> str:
+        """Name among those of all sites, ``site/device/name``: what artifacts and offsets were fitted on."""
+        return f"{self.site}/{self.device}/{self.name}"
+
     def labels_m(self, kind: str) -> Floats:
         """Return the ground truth of the kind ``published`` or ``repaired``, shape (T, 2)."""
         return {"published": self.published_m, "repaired": self.repaired_m}[kind]

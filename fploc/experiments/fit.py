@@ -128,7 +128,7 @@ def _artifact(cli: LightningCLI, metrics: dict[str, float], *, command: str) -> 
         networks={name: cli.model.network},
         constants={"offsets": asdict(data.offsets), "labels": data.labels, "validation": metrics},
         data_hash=data_hash(*sites),
-        recordings=tuple(f"{one.site}/{one.name}" for one in data.recordings("train")),
+        recordings=tuple(one.key for one in data.recordings("train")),
         command=command,
     )
 

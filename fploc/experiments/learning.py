@@ -268,4 +268,4 @@ class Learner:
 
 
 def _names(recordings: list[Recording]) -> tuple[str, ...]:
-    return tuple(f"{one.site}/{one.name}" for one in recordings)
+    return tuple(one.key for one in recordings)

@@ -148,9 +148,7 @@ def _trained(
         key,
         sites={one.site.name: read_packed(data_root, one.site.name).manifest_hash for one in sources},
         places={one.site.name: one.site.place for one in sources},
-        recordings=tuple(
-            f"{one.site}/{one.device}/{one.name}" for source in sources for one in source.recordings
-        ),
+        recordings=tuple(one.key for source in sources for one in source.recordings),
         data_hash=hashed,
         command=command,
     )

@@ -25,6 +25,9 @@ class PlanRaster:
     ink: Tensor
     pixels_from_metres: Tensor
     _softened: dict[float, PlanRaster] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _moved: dict[torch.device, PlanRaster] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(cls, plan: FloorPlan) -> PlanRaster:
@@ -33,10 +36,13 @@ class PlanRaster:
         return cls(ink=ink_of(plan), pixels_from_metres=matrix)
 
     def to(self, device: torch.device | str) -> PlanRaster:
-        """Return the raster on ``device``; itself where it is there already."""
-        if self.ink.device == torch.device(device):
+        """Return the raster on ``device``, itself where it is there already: copied once, since every batch asks."""
+        device = torch.device(device)
+        if self.ink.device == device:
             return self
-        return PlanRaster(self.ink.to(device), self.pixels_from_metres.to(device))
+        if device not in self._moved:
+            self._moved[device] = PlanRaster(self.ink.to(device), self.pixels_from_metres.to(device))
+        return self._moved[device]
 
     def softened(self, pixels_per_metre: float) -> PlanRaster:
         """Return the raster softened for crops of a resolution: done once, since every batch asks for it."""

@@ -86,7 +86,7 @@ def test_a_training_leaves_an_artifact_with_its_calibration_and_says_where(
     data = MeasuredDataModule(data_root)
     data.setup()
     assert offsets_of(artifact) == data.offsets
-    assert artifact.recordings == tuple(f"office/{one.name}" for one in data.recordings("train"))
+    assert artifact.recordings == tuple(f"office/{one.device}/{one.name}" for one in data.recordings("train"))
     assert artifact.constants["labels"] == "repaired" and artifact.constants["validation"]["val/rmse_m"] > 0
     assert artifact.command == "fploc " + " ".join(asked)
 

@@ -30,9 +30,11 @@ def test_raster_is_the_plan_as_ink_with_its_georeference(plan: FloorPlan) -> Non
     assert (column, row) == (pytest.approx(82.0, abs=1e-4), pytest.approx(59.0, abs=1e-4))
 
 
-def test_raster_moves_whole(plan: FloorPlan) -> None:
-    moved = PlanRaster.of(plan).to("meta")
+def test_raster_moves_whole_and_once(plan: FloorPlan) -> None:
+    raster = PlanRaster.of(plan)
+    moved = raster.to("meta")
     assert moved.ink.is_meta and moved.pixels_from_metres.is_meta
+    assert raster.to("meta") is moved and raster.to("cpu") is raster
 
 
 def test_crops_are_padded_to_whole_patches_of_the_longest_link(plan: FloorPlan) -> None:
